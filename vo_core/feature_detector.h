@@ -1,0 +1,59 @@
+// Where new features come from: FAST corners with Shi-Tomasi score, chosen by a quadtree from the static rest of the
+// picture, edgelets where corners fail (the paper, section 2.3.2; Rosten and Drummond 2006; Shi and Tomasi 1994).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "hal/rt/image.h"
+#include "vo_core/geometry.h"
+
+namespace godwit::vo {
+
+enum class FeatureType : std::uint8_t { kCorner, kEdgelet };
+
+/// A feature found in one picture.
+struct Feature {
+  Vec2f px = Vec2f::Zero();        ///< level-0 pixels (centre convention of rt::PyramidView)
+  Vec2f gradient = Vec2f::UnitX(); ///< unit gradient direction, used for edgelets
+  float score = 0.0f;              ///< Shi-Tomasi: smaller eigenvalue, per pixel; edgelets: gradient magnitude
+  std::int8_t level = 0;           ///< pyramid level on which it was found
+  FeatureType type = FeatureType::kCorner;
+};
+
+struct FeatureDetectorOptions {
+  int levels = 3;             ///< pyramid levels searched, from 0
+  int fast_threshold = 20;    ///< first FAST threshold [grey levels]
+  int fast_threshold_min = 5; ///< lowest threshold tried where texture is weak
+  int border_px = 8;          ///< no feature closer to the edge, counted on its own level
+  float min_score = 15.0f;    ///< corners with a smaller Shi-Tomasi score are not taken
+  bool edgelets = true;       ///< fill up with edgelets where corners fail
+};
+
+/// Works in buffers allocated by the constructor for one picture size; detect() does not allocate. One thread at a time.
+class FeatureDetector {
+ public:
+  FeatureDetector(int width, int height, const FeatureDetectorOptions& options);
+
+  /// Up to wanted well-spread features. The quadtree splits the picture until the wanted number of leaves holding a
+  /// feature stands; of each leaf the best score is taken. `occupied` are level-0 pixels of features that exist
+  /// already: a leaf holding one counts as served and gives no new feature. No feature lies in a masked pixel of its
+  /// level. Writes to out (at least wanted long) and returns the number.
+  int detect(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, std::span<const Vec2f> occupied,
+             int wanted, std::span<Feature> out);
+
+  /// Shi-Tomasi score (smaller eigenvalue of the 8x8 structure tensor, per pixel) at a pixel of one level.
+  static float shi_tomasi_score(const rt::ImageView& image, int x, int y);
+
+  ~FeatureDetector();
+  FeatureDetector(const FeatureDetector&) = delete;
+  FeatureDetector& operator=(const FeatureDetector&) = delete;
+
+ private:
+  struct Buffers;
+  FeatureDetectorOptions options_;
+  Buffers* buffers_;
+};
+
+}  // namespace godwit::vo

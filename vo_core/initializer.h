@@ -1,0 +1,86 @@
+// The first map from two views (the paper, section 2.4): tracks from the first frame, homography and fundamental matrix
+// side by side, the better one by score, cheirality and parallax checks, triangulation, two-view refinement.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "hal/rt/image.h"
+#include "hal/rt/time.h"
+#include "vo_core/camera_model.h"
+#include "vo_core/feature_detector.h"
+#include "vo_core/geometry.h"
+
+namespace godwit::vo {
+
+struct InitializerOptions {
+  int features = 400;               ///< tracks started in the first frame
+  int min_tracks = 80;              ///< fewer left: start again from the present frame
+  double min_disparity_px = 8.0;    ///< median motion of the tracks below which no model is tried
+  double min_parallax_deg = 0.8;    ///< median angle between the rays of the triangulated points
+  int min_points = 60;              ///< accepted points of the first map
+  double homography_ratio = 0.4;    ///< R_H above this picks the homography (the paper, equation for R_H)
+  int ransac_iterations = 100;
+  double sigma_px = 1.0;            ///< measurement noise in the transfer error's outlier cut
+};
+
+enum class InitStatus : std::uint8_t {
+  kFirstFrame,      ///< this frame became the first view
+  kTooFewFeatures,  ///< not enough features in the first view
+  kTracksLost,      ///< too few tracks left: this frame became the first view
+  kNoMotion,        ///< disparity too small to try
+  kNoParallax,      ///< motion, but a rotation explains it, or the rays are too parallel
+  kNoModel,         ///< neither model stands (too few inliers, ambiguous decomposition, points behind the camera)
+  kDone
+};
+
+enum class InitModel : std::uint8_t { kNone, kHomography, kFundamental };
+
+/// One point of the first map.
+struct InitPoint {
+  Vec2f px_ref;      ///< in the first view, level-0 px
+  Vec2f px_cur;      ///< in the present view, level-0 px, sub-pixel
+  std::int8_t level; ///< pyramid level of the feature in the first view
+  Vec3 p_ref;        ///< position in the first view's camera frame, units of the chosen scale
+  double depth_sigma; ///< one sigma of the depth along the first view's ray, same units
+};
+
+struct InitReport {
+  InitStatus status = InitStatus::kFirstFrame;
+  InitModel model = InitModel::kNone;
+  int tracks = 0;
+  int inliers = 0;
+  int points = 0;
+  double median_disparity_px = 0;
+  double median_parallax_deg = 0;
+  double ratio_homography = 0;   ///< R_H
+};
+
+/// All buffers are allocated by the constructor; add_frame does not allocate and is bounded. One thread at a time.
+class Initializer {
+ public:
+  Initializer(const CameraModel& camera, const InitializerOptions& options);
+  ~Initializer();
+  Initializer(const Initializer&) = delete;
+  Initializer& operator=(const Initializer&) = delete;
+
+  /// Forgets the first view.
+  void reset();
+
+  /// Feeds the next frame. The pyramid of the FIRST view must stay readable until reset() or until a status says that
+  /// the present frame became the first view: the caller holds that frame's slot.
+  /// Tracks that enter a masked pixel are dropped. On kDone, T_cur_ref() and points() hold the first map, scaled so
+  /// that the median depth in the first view is 1.
+  InitReport add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask);
+
+  /// Valid after kDone until the next call.
+  const SE3& T_cur_ref() const;
+  std::span<const InitPoint> points() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,1 @@
+#include "vo_core/pyramid.h"
