@@ -12,16 +12,16 @@ namespace godwit::hal {
 
 /// What became of one call of Camera::next.
 enum class CameraStatus : std::uint8_t {
-  kFrame,    ///< a picture was delivered
-  kBadFrame, ///< a picture was due but missing, truncated or of the wrong size: counted, skipped
-  kTimeout,  ///< nothing came in time
-  kEnd       ///< the source is at its end
+  kFrame,     ///< a picture was delivered
+  kBadFrame,  ///< a picture was due but missing, truncated or of the wrong size: counted, skipped
+  kTimeout,   ///< nothing came in time
+  kEnd        ///< the source is at its end
 };
 
 /// What a source says of the picture it wrote into the caller's slot.
 struct CapturedFrame {
   rt::TimeNs t_capture_ns = 0;  ///< middle of exposure, CLOCK_MONOTONIC (replay and simulation: rebased)
-  double t_source_s = 0;        ///< the source's own timestamp in seconds, as in its index; for output files
+  rt::TimeNs t_source_ns = 0;   ///< the source's own timestamp, exact, as in its index; for output files
   std::uint32_t sequence = 0;   ///< counts every picture that was due, also bad ones
 };
 
@@ -35,6 +35,8 @@ class Camera {
   /// Writes the next picture as grey into grey and, where the source has colour and bgr is not null, its BGR pixels
   /// (width * 3 bytes a row, no padding) into bgr. Waits at most timeout_ns. After kBadFrame `why` (if given) names the
   /// file and the reason.
+  /// An empty grey view means that the caller has no room for this picture: it is waited for and passed over, *frame
+  /// says which one it was.
   virtual CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                             CapturedFrame* frame, std::string* why) = 0;
 };

@@ -11,8 +11,14 @@ TimeNs read_clock(clockid_t id) {
 }
 }  // namespace
 
-TimeNs monotonic_now_ns() { return read_clock(CLOCK_MONOTONIC); }
-TimeNs thread_cpu_now_ns() { return read_clock(CLOCK_THREAD_CPUTIME_ID); }
-TimeNs process_cpu_now_ns() { return read_clock(CLOCK_PROCESS_CPUTIME_ID); }
+TimeNs monotonic_now_ns() {
+  return read_clock(CLOCK_MONOTONIC);
+}
+TimeNs thread_cpu_now_ns() {
+  return read_clock(CLOCK_THREAD_CPUTIME_ID);
+}
+TimeNs process_cpu_now_ns() {
+  return read_clock(CLOCK_PROCESS_CPUTIME_ID);
+}
 
 }  // namespace godwit::rt

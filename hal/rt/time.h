@@ -11,8 +11,12 @@ using TimeNs = std::int64_t;
 constexpr TimeNs kNsPerSecond = 1'000'000'000;
 constexpr TimeNs kNsPerMs = 1'000'000;
 
-constexpr double to_seconds(TimeNs t) { return static_cast<double>(t) * 1e-9; }
-constexpr double to_ms(TimeNs t) { return static_cast<double>(t) * 1e-6; }
+constexpr double to_seconds(TimeNs t) {
+  return static_cast<double>(t) * 1e-9;
+}
+constexpr double to_ms(TimeNs t) {
+  return static_cast<double>(t) * 1e-6;
+}
 
 /// Now on CLOCK_MONOTONIC. No allocation, no lock, any thread.
 TimeNs monotonic_now_ns();

@@ -1,0 +1,177 @@
+#include "hal/rt/frame_pool.h"
+
+#include <atomic>
+#include <cstring>
+#include <gtest/gtest.h>
+#include <memory>
+#include <set>
+#include <thread>
+
+namespace godwit::rt {
+namespace {
+
+FramePool::Layout layout(int slots, int readers) {
+  FramePool::Layout l;
+  l.width = 70;
+  l.height = 50;
+  l.pyramid_bytes = 1000;
+  l.colour = true;
+  l.slots = slots;
+  l.readers = readers;
+  return l;
+}
+
+TEST(FramePool, RefusesAbsurdLayouts) {
+  FramePool::Layout l = layout(4, 1);
+  l.width = kMaxImageWidth + 1;
+  EXPECT_FALSE(FramePool::create(l).ok());
+  EXPECT_FALSE(FramePool::create(layout(0, 1)).ok());
+  EXPECT_FALSE(FramePool::create(layout(kMaxFrameSlots + 1, 1)).ok());
+  EXPECT_FALSE(FramePool::create(layout(4, 0)).ok());
+  EXPECT_FALSE(FramePool::create(layout(4, kMaxFrameReaders + 1)).ok());
+}
+
+TEST(FramePool, PartsOfAllSlotsAreAlignedAndDoNotOverlap) {
+  const auto pool = std::move(FramePool::create(layout(3, 1))).value();
+  struct Part {
+    std::uint8_t* begin;
+    std::size_t bytes;
+  };
+  std::vector<Part> parts;
+  for (int s = 0; s < 3; ++s) {
+    const MutableImageView grey = pool->grey(s);
+    EXPECT_EQ(grey.width, 70);
+    EXPECT_EQ(grey.stride, 128);
+    parts.push_back({grey.data, static_cast<std::size_t>(grey.stride) * 50 + kRowAlignment});
+    parts.push_back({pool->pyramid_storage(s), 1000 + kRowAlignment});
+    parts.push_back({pool->bgr(s), 70 * 50 * 3});
+  }
+  for (const Part& p : parts) {
+    EXPECT_EQ(reinterpret_cast<std::uintptr_t>(p.begin) % kRowAlignment, 0u);
+    std::memset(p.begin, 0xA5, p.bytes);  // the address sanitizer sees a write past the end
+    for (const Part& q : parts) {
+      if (p.begin != q.begin) {
+        EXPECT_TRUE(p.begin + p.bytes <= q.begin || q.begin + q.bytes <= p.begin);
+      }
+    }
+  }
+}
+
+TEST(FramePool, WithoutColourThereIsNoBgr) {
+  FramePool::Layout l = layout(2, 1);
+  l.colour = false;
+  const auto pool = std::move(FramePool::create(l)).value();
+  EXPECT_EQ(pool->bgr(0), nullptr);
+}
+
+TEST(FramePool, ASlotIsFreeOnlyWhenAllReferencesAreBack) {
+  const auto pool = std::move(FramePool::create(layout(1, 2))).value();
+  FrameReturn tracker = pool->reader(0), mapper = pool->reader(1);
+  const int slot = pool->acquire();
+  ASSERT_EQ(slot, 0);
+  pool->hand_out(slot, 2);
+  tracker.give_back(slot);
+  EXPECT_EQ(pool->acquire(), -1) << "the mapper still holds it";
+  EXPECT_EQ(pool->exhausted(), 1u) << "exhaustion is counted";
+  EXPECT_EQ(pool->try_acquire(), -1);
+  EXPECT_EQ(pool->exhausted(), 1u) << "a feeder that waits drops nothing";
+  mapper.give_back(slot);
+  EXPECT_EQ(pool->acquire(), 0);
+}
+
+TEST(FramePool, OneReaderMayReturnSeveralReferencesAtOnce) {
+  const auto pool = std::move(FramePool::create(layout(1, 2))).value();
+  const int slot = pool->acquire();
+  pool->hand_out(slot, 2);
+  pool->reader(0).give_back(slot, 2);
+  EXPECT_EQ(pool->acquire(), 0);
+}
+
+TEST(FramePool, ACancelledSlotIsFreeAgain) {
+  const auto pool = std::move(FramePool::create(layout(1, 1))).value();
+  pool->cancel(pool->acquire());
+  EXPECT_EQ(pool->acquire(), 0);
+}
+
+// Owner, tracker and mapper as in flight: the tracker passes every third frame on and returns both references of the
+// others; the mapper keeps a few. Nobody may ever see a picture change while holding a reference to it.
+TEST(FramePool, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
+  constexpr std::uint32_t kFrames = 300'000;
+  FramePool::Layout l = layout(8, 2);
+  l.colour = false;
+  const auto pool = std::move(FramePool::create(l)).value();
+  SpscRing<FrameHandle, 16> to_tracker, to_mapper;
+  std::atomic<std::uint64_t> wrong{0};
+  std::atomic<bool> tracker_done{false};
+
+  const auto stamp = [](std::uint32_t sequence) { return static_cast<std::uint8_t>(sequence * 37u + 11u); };
+  const auto check = [&](const FrameHandle& h) {
+    const MutableImageView g = pool->grey(h.slot);
+    const bool same = g.data[0] == stamp(h.meta.sequence) && g.data[g.stride * (g.height - 1)] == g.data[0] &&
+                      pool->meta(h.slot).sequence == h.meta.sequence;
+    if (!same) wrong.fetch_add(1, std::memory_order_relaxed);
+  };
+
+  std::thread tracker([&] {
+    FrameReturn give = pool->reader(0);
+    for (std::uint32_t seen = 0; seen < kFrames;) {
+      FrameHandle h;
+      if (!to_tracker.try_pop(&h)) {
+        std::this_thread::yield();
+        continue;
+      }
+      check(h);
+      const bool pass_on = h.meta.sequence % 3 == 0 && to_mapper.try_push(h);
+      check(h);
+      give.give_back(h.slot, pass_on ? 1 : 2);
+      ++seen;
+    }
+    tracker_done.store(true, std::memory_order_release);
+  });
+  std::thread mapper([&] {
+    FrameReturn give = pool->reader(1);
+    std::vector<FrameHandle> kept;
+    while (true) {
+      const bool last_round = tracker_done.load(std::memory_order_acquire);
+      FrameHandle h;
+      while (to_mapper.try_pop(&h)) {
+        kept.push_back(h);
+        if (kept.size() > 3) {
+          check(kept.front());
+          give.give_back(kept.front().slot);
+          kept.erase(kept.begin());
+        }
+      }
+      if (last_round) break;
+      std::this_thread::yield();
+    }
+    for (const FrameHandle& h : kept) {
+      check(h);
+      give.give_back(h.slot);
+    }
+  });
+  for (std::uint32_t sequence = 0; sequence < kFrames;) {
+    const int slot = pool->try_acquire();
+    if (slot < 0) {
+      std::this_thread::yield();
+      continue;
+    }
+    const MutableImageView g = pool->grey(slot);
+    g.data[0] = stamp(sequence);
+    g.data[g.stride * (g.height - 1)] = stamp(sequence);
+    pool->meta(slot) = {static_cast<TimeNs>(sequence), 0, sequence};
+    pool->hand_out(slot, 2);
+    while (!to_tracker.try_push({slot, pool->meta(slot)})) std::this_thread::yield();
+    ++sequence;
+  }
+  tracker.join();
+  mapper.join();
+  EXPECT_EQ(wrong.load(), 0u);
+  std::set<int> free_again;
+  for (int i = 0; i < 8; ++i) free_again.insert(pool->acquire());
+  EXPECT_EQ(free_again.size(), 8u) << "every reference came home";
+  EXPECT_EQ(free_again.count(-1), 0u);
+}
+
+}  // namespace
+}  // namespace godwit::rt
