@@ -1,0 +1,214 @@
+#include "hal/can/socketcan_bus.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <linux/can/error.h>
+#include <linux/can/raw.h>
+#include <net/if.h>
+#include <sys/ioctl.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "hal/can/can_link.h"
+
+namespace godwit::hal {
+namespace {
+constexpr rt::TimeNs kRetryNs = 100 * rt::kNsPerMs;
+constexpr int kSkipsPerReceive = 64;  // a flood of error frames must not hold the caller
+}  // namespace
+
+CanState state_after_error_frame(CanState before, const canfd_frame& raw) {
+  if ((raw.can_id & CAN_ERR_BUSOFF) != 0) return CanState::kBusOff;
+  if ((raw.can_id & CAN_ERR_RESTARTED) != 0) return CanState::kActive;
+  if ((raw.can_id & CAN_ERR_CRTL) != 0) {
+    const unsigned controller = raw.data[1];
+    if ((controller & (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)) != 0) return CanState::kPassive;
+    if ((controller & (CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING)) != 0) return CanState::kWarning;
+    if ((controller & CAN_ERR_CRTL_ACTIVE) != 0) return CanState::kActive;
+  }
+  return before;
+}
+
+rt::Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& interface) {
+  const std::string name = "CAN bus socketcan:" + interface + ": ";
+  if (interface.size() >= IFNAMSIZ) return rt::Error{name + "the interface name is too long"};
+  std::unique_ptr<SocketCanBus> self(new SocketCanBus(interface));
+  const char* failed = self->connect();
+  if (failed != nullptr && errno != ENETDOWN) {  // an interface that is down is told in words and waited for
+    const int reason = errno;
+    std::string message = name + failed + ": " + std::strerror(reason);
+    if (reason == EAFNOSUPPORT) message += "; this kernel has no CAN: modprobe can_raw, or use multicast:0";
+    if (reason == ENODEV) message += "; ip link shows the interfaces there are";
+    return rt::Error{message};
+  }
+  self->netlink_fd_ = open_netlink();
+  const auto link = read_can_link(interface);
+  if (!link.ok()) return rt::Error{name + link.error().message};
+  self->bit_rate_ = link.value().bit_rate;
+  self->fd_frames_ = link.value().fd || link.value().kind == "vcan";
+  self->advice_ = can_link_advice(link.value());
+  return self;
+}
+
+std::unique_ptr<SocketCanBus> SocketCanBus::adopt(int descriptor) {
+  std::unique_ptr<SocketCanBus> self(new SocketCanBus("adopted"));
+  self->fd_ = descriptor;
+  self->fd_frames_ = true;
+  self->reopen_ = false;
+  self->state_ = CanState::kActive;
+  return self;
+}
+
+SocketCanBus::~SocketCanBus() {
+  disconnect();
+  if (netlink_fd_ >= 0) close(netlink_fd_);
+}
+
+void SocketCanBus::disconnect() {
+  if (fd_ >= 0) close(fd_);
+  fd_ = -1;
+  state_ = CanState::kGone;
+}
+
+const char* SocketCanBus::connect() {
+  fd_ = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
+  if (fd_ < 0) return "socket";
+  interface_index_ = static_cast<int>(if_nametoindex(interface_.c_str()));
+  if (interface_index_ == 0) return "find interface";
+  const int on = 1;
+  const can_err_mask_t errors = CAN_ERR_MASK;
+  if (setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors) != 0) return "CAN_RAW_ERR_FILTER";
+  setsockopt(fd_, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
+  // Only lets FD frames through the socket; whether the interface takes them was read when it was opened. Old kernels
+  // lack the option, and then also FD interfaces.
+  setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &on, sizeof on);
+  ifreq flags{};
+  std::copy(interface_.begin(), interface_.end(), flags.ifr_name);
+  if (ioctl(fd_, SIOCGIFFLAGS, &flags) != 0) return "SIOCGIFFLAGS";
+  if ((flags.ifr_flags & IFF_UP) == 0) {
+    disconnect();
+    errno = ENETDOWN;
+    return "interface";
+  }
+  sockaddr_can address{};
+  address.can_family = AF_CAN;
+  address.can_ifindex = interface_index_;
+  if (bind(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) return "bind";
+  if (!apply_filters()) return "CAN_RAW_FILTER";
+  state_ = CanState::kActive;
+  return nullptr;
+}
+
+CanSend SocketCanBus::send(const CanFrame& frame) {
+  if (fd_ < 0 || state_ == CanState::kBusOff) return CanSend::kDown;
+  canfd_frame raw{};
+  raw.can_id = frame.id | (frame.extended ? CAN_EFF_FLAG : 0U);
+  raw.len = frame.length;
+  raw.flags = frame.fd ? CANFD_BRS : 0;
+  std::copy_n(frame.data.begin(), frame.length, raw.data);
+  const std::size_t size = frame.fd ? CANFD_MTU : CAN_MTU;
+  if (::send(fd_, &raw, size, MSG_DONTWAIT) == static_cast<ssize_t>(size)) {
+    ++counters_.sent;
+    return CanSend::kSent;
+  }
+  if (errno == EAGAIN || errno == ENOBUFS || errno == EINTR) {
+    ++counters_.send_full;
+    return CanSend::kFull;
+  }
+  ++counters_.send_failed;
+  if (errno == EINVAL || errno == EMSGSIZE) return CanSend::kRefused;
+  if (reopen_ || errno != ENETDOWN) disconnect();
+  return CanSend::kDown;
+}
+
+void SocketCanBus::take_error_frame(const canfd_frame& raw) {
+  ++counters_.error_frames;
+  if ((raw.can_id & CAN_ERR_BUSOFF) != 0) ++counters_.bus_off;
+  state_ = state_after_error_frame(state_, raw);
+}
+
+bool SocketCanBus::receive(CanFrame* frame) {
+  for (int i = 0; i < kSkipsPerReceive && fd_ >= 0; ++i) {
+    canfd_frame raw{};
+    iovec part{&raw, sizeof raw};
+    alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(std::uint32_t))> control;
+    msghdr message{};
+    message.msg_iov = &part;
+    message.msg_iovlen = 1;
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
+    const ssize_t size = recvmsg(fd_, &message, MSG_DONTWAIT);
+    if (size < 0) {
+      if (errno == EAGAIN || errno == EINTR) return false;
+      ++counters_.receive_failed;
+      disconnect();
+      return false;
+    }
+    for (cmsghdr* c = CMSG_FIRSTHDR(&message); c != nullptr; c = CMSG_NXTHDR(&message, c)) {
+      if (c->cmsg_level != SOL_SOCKET || c->cmsg_type != SO_RXQ_OVFL) continue;
+      std::uint32_t dropped = 0;
+      std::memcpy(&dropped, CMSG_DATA(c), sizeof dropped);
+      counters_.receive_overflow = dropped;
+    }
+    const bool fd = size == static_cast<ssize_t>(CANFD_MTU);
+    if ((!fd && size != static_cast<ssize_t>(CAN_MTU)) || raw.len > (fd ? kFdCanBytes : kClassicCanBytes)) {
+      ++counters_.receive_malformed;
+      continue;
+    }
+    if ((raw.can_id & CAN_ERR_FLAG) != 0) {
+      take_error_frame(raw);
+      continue;
+    }
+    if ((raw.can_id & CAN_RTR_FLAG) != 0) continue;               // nobody on this bus answers remote requests
+    if (state_ == CanState::kBusOff) state_ = CanState::kActive;  // frames arrive: the controller is on the bus again
+    frame->extended = (raw.can_id & CAN_EFF_FLAG) != 0;
+    frame->id = raw.can_id & (frame->extended ? CAN_EFF_MASK : CAN_SFF_MASK);
+    frame->fd = fd;
+    frame->length = raw.len;
+    std::copy_n(raw.data, raw.len, frame->data.begin());
+    if (!passes({filters_.data(), filter_count_}, *frame)) continue;
+    ++counters_.received;
+    return true;
+  }
+  return false;
+}
+
+rt::Result<void> SocketCanBus::set_filters(std::span<const CanFilter> filters) {
+  if (filters.size() > kMaxFilters) return rt::Error{"CAN filters: at most " + std::to_string(kMaxFilters)};
+  std::copy(filters.begin(), filters.end(), filters_.begin());
+  filter_count_ = filters.size();
+  if (reopen_ && !apply_filters()) return rt::Error{"CAN filters: " + std::string(std::strerror(errno))};
+  return {};
+}
+
+bool SocketCanBus::apply_filters() {
+  std::array<can_filter, kMaxFilters> kernel{};
+  for (std::size_t i = 0; i < filter_count_; ++i) {
+    const CanFilter& f = filters_[i];
+    kernel[i].can_id = f.id | (f.extended ? CAN_EFF_FLAG : 0U);
+    kernel[i].can_mask = f.mask | CAN_EFF_FLAG | CAN_RTR_FLAG;
+  }
+  const std::size_t count = filter_count_ == 0 ? 1 : filter_count_;  // one of zeros lets everything through
+  return setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_FILTER, kernel.data(),
+                    static_cast<socklen_t>(count * sizeof(can_filter))) == 0;
+}
+
+void SocketCanBus::maintain(rt::TimeNs now_ns) {
+  const bool gone = state_ == CanState::kGone && reopen_, off = state_ == CanState::kBusOff;
+  if ((!gone && !off) || now_ns < next_attempt_ns_) return;
+  next_attempt_ns_ = now_ns + kRetryNs;
+  if (off) {
+    // Nothing can be sent meanwhile, so the short stay of this call in the kernel costs nobody anything. Where we may
+    // not ask (no CAP_NET_ADMIN), restart-ms of the interface does it and a RESTARTED error frame tells us.
+    if (netlink_fd_ >= 0) request_can_restart(netlink_fd_, interface_index_);
+    return;
+  }
+  if (connect() == nullptr) {
+    ++counters_.reopened;
+  } else {
+    disconnect();
+  }
+}
+
+}  // namespace godwit::hal
