@@ -51,6 +51,8 @@ class CameraModel {
 
  private:
   CameraModel() = default;
+  /// Error if some pixel of the picture has no bearing that projects back onto it.
+  rt::Result<void> check_picture() const;
   Kind kind_ = Kind::kPinholeRadTan;
   int width_ = 0, height_ = 0;
   double fx_ = 0, fy_ = 0, cx_ = 0, cy_ = 0;
