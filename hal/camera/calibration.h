@@ -1,0 +1,37 @@
+// A camera's calibration as its file says it. Pure function over text; the odometry's own camera model is made of it by
+// the application.
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "hal/rt/result.h"
+
+namespace godwit::hal {
+
+/// Pinhole camera with distortion. Pixels: (0, 0) is the centre of the top-left pixel.
+struct CameraCalibration {
+  enum class Distortion {
+    kRadTan,         ///< k1 k2 p1 p2 k3, in OpenCV's order
+    kKannalaBrandt4  ///< k1 k2 k3 k4 of the equidistant (fisheye) model
+  };
+
+  int width = 0;
+  int height = 0;
+  double fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
+  Distortion distortion_model = Distortion::kRadTan;
+  std::array<double, 5> distortion{};  ///< unused ones are 0
+  int channels = 1;                    ///< of the source's pictures, where the file says it: 1 grey, 3 colour
+  double fps = 0;                      ///< nominal; 0: the file does not say
+  /// Maps camera points into the body (IMU) frame, row major, where the file says it.
+  std::optional<std::array<double, 16>> T_body_cam;
+};
+
+/// Reads our own camera.yaml (model, width, height, fx, fy, cx, cy, distortion_model, distortion, ..) or EuRoC's
+/// sensor.yaml (camera_model, intrinsics, resolution, distortion_coefficients, T_BS, ..). Error: names the file, the
+/// key, its line and the reason; numbers that are not finite or absurd are refused.
+rt::Result<CameraCalibration> parse_calibration(std::string_view text, const std::string& name);
+
+}  // namespace godwit::hal

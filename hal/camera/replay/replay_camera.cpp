@@ -1,0 +1,147 @@
+#include "hal/camera/replay/replay_camera.h"
+
+#include <filesystem>
+#include <system_error>
+
+#include "hal/rt/wake_up.h"
+
+namespace godwit::hal {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Time between the first call and the first picture at real pace: enough to decode it.
+constexpr rt::TimeNs kLeadNs = 50 * rt::kNsPerMs;
+/// A wrong calibration shows within this many pictures that can be decoded.
+constexpr int kPicturesProbed = 5;
+
+bool is_file(const fs::path& path) {
+  std::error_code ignored;
+  return fs::is_regular_file(path, ignored);
+}
+
+rt::Result<std::string> read_text(const std::string& file) {
+  auto bytes = read_whole_file(file);
+  if (!bytes) return bytes.error();
+  return std::string(bytes.value().begin(), bytes.value().end());
+}
+
+}  // namespace
+
+rt::Result<SequenceLayout> find_sequence(const std::string& folder) {
+  const fs::path root(folder);
+  std::error_code error;
+  if (!fs::is_directory(root, error)) {
+    return rt::Error{folder + ": " + (error ? error.message() : "not a folder")};
+  }
+  if (is_file(root / "rgb.txt")) {
+    return SequenceLayout{SequenceLayout::Kind::kTum, root / "rgb.txt", root / "camera.yaml", root};
+  }
+  for (const fs::path& cam0 : {root / "mav0" / "cam0", root / "cam0", root}) {
+    if (!is_file(cam0 / "data.csv")) continue;
+    return SequenceLayout{SequenceLayout::Kind::kEuroc, cam0 / "data.csv", cam0 / "sensor.yaml", cam0 / "data"};
+  }
+  return rt::Error{folder +
+                   ": no sequence: neither rgb.txt (TUM layout) nor mav0/cam0/data.csv (EuRoC layout) is there"};
+}
+
+rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& folder, const ReplayOptions& options) {
+  auto layout = find_sequence(folder);
+  if (!layout) return layout.error();
+  std::unique_ptr<ReplayCamera> camera(new ReplayCamera);
+  camera->options_ = options;
+  camera->layout_ = std::move(layout).value();
+  const SequenceLayout& l = camera->layout_;
+
+  auto calibration_text = read_text(l.calibration_file);
+  if (!calibration_text) return rt::Error{calibration_text.error().message + " (the camera's calibration is needed)"};
+  auto calibration = parse_calibration(calibration_text.value(), l.calibration_file);
+  if (!calibration) return calibration.error();
+  camera->calibration_ = calibration.value();
+
+  auto index_text = read_text(l.index_file);
+  if (!index_text) return index_text.error();
+  auto index = l.kind == SequenceLayout::Kind::kTum ? parse_tum_index(index_text.value(), l.index_file)
+                                                    : parse_euroc_index(index_text.value(), l.index_file);
+  if (!index) return index.error();
+  camera->index_ = std::move(index).value();
+
+  const auto listed = static_cast<std::int64_t>(camera->index_.entries.size());
+  if (options.start < 0 || options.start >= listed) {
+    return rt::Error{l.index_file + ": lists " + std::to_string(listed) + " pictures; a start at picture " +
+                     std::to_string(options.start) + " leaves none"};
+  }
+  camera->first_ = camera->next_ = options.start;
+  camera->last_ =
+      options.frames > 0 && options.frames < listed - options.start ? options.start + options.frames : listed;
+  const auto sizes = camera->check_size();
+  if (!sizes) return sizes.error();
+  return camera;
+}
+
+std::string ReplayCamera::picture_file(const SequenceEntry& entry) const {
+  return fs::path(layout_.pictures) / entry.file;
+}
+
+rt::Result<void> ReplayCamera::check_size() {
+  std::string mismatch;
+  int decoded = 0;
+  for (std::int64_t i = first_; i < last_ && i < first_ + 4 * kPicturesProbed && decoded < kPicturesProbed; ++i) {
+    const std::string file = picture_file(index_.entries[static_cast<std::size_t>(i)]);
+    if (!decoder_.load(file)) continue;  // bad pictures are told of when they are due
+    if (decoder_.width() == width() && decoder_.height() == height()) return {};
+    if (mismatch.empty()) {
+      mismatch = layout_.calibration_file + ": width, height: " + std::to_string(width()) + " x " +
+                 std::to_string(height()) + " pixels, but " + file + " has " + std::to_string(decoder_.width()) +
+                 " x " + std::to_string(decoder_.height());
+    }
+    ++decoded;
+  }
+  if (mismatch.empty()) return {};
+  return rt::Error{mismatch};
+}
+
+CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs /*timeout_ns*/,
+                                CapturedFrame* frame, std::string* why) {
+  if (next_ >= last_) return CameraStatus::kEnd;
+  if (next_ == first_) {
+    const rt::TimeNs first_capture =
+        options_.pace == ReplayOptions::Pace::kReal ? rt::monotonic_now_ns() + kLeadNs : rt::kNsPerSecond;
+    rebase_ns_ = first_capture - index_.entries[static_cast<std::size_t>(first_)].t_ns;
+  }
+  const SequenceEntry& entry = index_.entries[static_cast<std::size_t>(next_)];
+  frame->t_source_ns = entry.t_ns;
+  frame->t_capture_ns = entry.t_ns + rebase_ns_;
+  frame->sequence = static_cast<std::uint32_t>(next_ - first_);
+  ++next_;
+
+  const auto bad = [&](std::uint64_t* counter, const std::string& reason) {
+    ++*counter;
+    if (why != nullptr) *why = reason;
+    return CameraStatus::kBadFrame;
+  };
+  const std::string at = layout_.index_file + ":" + std::to_string(entry.line) + ": time " + format_seconds(entry.t_ns);
+  if (entry.fault == TimeFault::kRepeats) return bad(&counters_.time_repeated, at + " repeats");
+  if (entry.fault == TimeFault::kGoesBack) return bad(&counters_.time_went_back, at + " goes back");
+  if (grey.data == nullptr) {
+    if (options_.pace == ReplayOptions::Pace::kReal) rt::sleep_until_ns(frame->t_capture_ns);
+    ++counters_.passed_over;
+    return CameraStatus::kFrame;
+  }
+  const std::string file = picture_file(entry);
+  const auto loaded = decoder_.load(file);
+  // A bad picture comes due at its time as well: a gap in the pictures is a gap in time.
+  if (options_.pace == ReplayOptions::Pace::kReal) rt::sleep_until_ns(frame->t_capture_ns);
+  if (!loaded) return bad(&counters_.bad_pictures, loaded.error().message);
+  if (decoder_.width() != width() || decoder_.height() != height()) {
+    return bad(&counters_.bad_pictures, file + ": " + std::to_string(decoder_.width()) + " x " +
+                                            std::to_string(decoder_.height()) + " pixels; the calibration says " +
+                                            std::to_string(width()) + " x " + std::to_string(height()));
+  }
+  decoder_.write_grey(grey);
+  if (bgr != nullptr && channels() == 3) decoder_.write_bgr(bgr);
+  ++counters_.delivered;
+  return CameraStatus::kFrame;
+}
+
+}  // namespace godwit::hal

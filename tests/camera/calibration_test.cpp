@@ -1,0 +1,118 @@
+#include "hal/camera/calibration.h"
+
+#include <cstdlib>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/support/temp_folder.h"
+
+namespace godwit::hal {
+namespace {
+
+using testing::HasSubstr;
+
+const char* const kOwn =
+    "# pinhole camera\nmodel: pinhole\nwidth: 640\nheight: 480\nfx: 517.3\nfy: 516.5\ncx: 318.6\ncy: 255.3\n"
+    "distortion_model: radtan (k1 k2 p1 p2 k3)\ndistortion: [0.262383, -0.953104, -0.005358, 0.002628, 1.163314]\n"
+    "fps: 30\nimage_channels: 3\n";
+
+const char* const kEuroc =
+    "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: [0, -1, 0, 0.1,\n         1, 0, 0, 0.2,\n"
+    "         0, 0, 1, 0.3,\n         0.0, 0.0, 0.0, 1.0]\nrate_hz: 20\nresolution: [752, 480]\n"
+    "camera_model: pinhole\nintrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv\n"
+    "distortion_model: radial-tangential\n"
+    "distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]\n";
+
+std::string with(std::string text, const std::string& from, const std::string& to) {
+  const std::size_t at = text.find(from);
+  EXPECT_NE(at, std::string::npos) << from;
+  return text.replace(at, from.size(), to);
+}
+
+std::string refusal(const std::string& text) {
+  const auto c = parse_calibration(text, "camera.yaml");
+  EXPECT_FALSE(c.ok()) << text;
+  return c.ok() ? "" : c.error().message;
+}
+
+TEST(Calibration, ReadsOurOwnFile) {
+  const auto c = parse_calibration(kOwn, "camera.yaml");
+  ASSERT_TRUE(c.ok()) << c.error().message;
+  EXPECT_EQ(c.value().width, 640);
+  EXPECT_EQ(c.value().height, 480);
+  EXPECT_EQ(c.value().fx, 517.3);
+  EXPECT_EQ(c.value().distortion_model, CameraCalibration::Distortion::kRadTan);
+  EXPECT_EQ(c.value().distortion[4], 1.163314);
+  EXPECT_EQ(c.value().channels, 3);
+  EXPECT_EQ(c.value().fps, 30);
+  EXPECT_FALSE(c.value().T_body_cam.has_value());
+}
+
+TEST(Calibration, ReadsEurocsSensorFile) {
+  const auto c = parse_calibration(kEuroc, "sensor.yaml");
+  ASSERT_TRUE(c.ok()) << c.error().message;
+  EXPECT_EQ(c.value().width, 752);
+  EXPECT_EQ(c.value().cy, 248.375);
+  EXPECT_EQ(c.value().distortion[3], 1.76187114e-05);
+  EXPECT_EQ(c.value().distortion[4], 0);
+  EXPECT_EQ(c.value().channels, 1);
+  ASSERT_TRUE(c.value().T_body_cam.has_value());
+  EXPECT_EQ((*c.value().T_body_cam)[7], 0.2);
+}
+
+TEST(Calibration, ReadsTheFisheyeModel) {
+  const auto c =
+      parse_calibration(with(with(kEuroc, "radial-tangential", "equidistant"), "458.654", "258"), "sensor.yaml");
+  ASSERT_TRUE(c.ok()) << c.error().message;
+  EXPECT_EQ(c.value().distortion_model, CameraCalibration::Distortion::kKannalaBrandt4);
+}
+
+TEST(Calibration, RefusesWithFileLineKeyAndReason) {
+  EXPECT_EQ(refusal(with(kOwn, "fx: 517.3\n", "")), "camera.yaml: fx is missing");
+  EXPECT_EQ(refusal(with(kOwn, "fx: 517.3", "fx: wide")), "camera.yaml:5: fx: a number is wanted");
+  EXPECT_EQ(refusal(with(kOwn, "fx: 517.3", "fx: .nan")), "camera.yaml:5: fx: the number is not finite");
+  EXPECT_EQ(refusal(with(kOwn, "fx: 517.3", "fx: .inf")), "camera.yaml:5: fx: the number is not finite");
+  EXPECT_THAT(refusal(with(kOwn, "fx: 517.3", "fx: 0")), HasSubstr("fx: absurd"));
+  EXPECT_THAT(refusal(with(kOwn, "fx: 517.3", "fx: -517.3")), HasSubstr("fx: absurd"));
+  EXPECT_THAT(refusal(with(kOwn, "fy: 516.5", "fy: 51.65")), HasSubstr("fy: differs from fx"));
+  EXPECT_THAT(refusal(with(kOwn, "cx: 318.6", "cx: 700")), HasSubstr("cx: the centre lies outside"));
+  EXPECT_THAT(refusal(with(kOwn, "width: 640", "width: 0")), HasSubstr("camera.yaml:3: width: a whole number from 64"));
+  EXPECT_THAT(refusal(with(kOwn, "width: 640", "width: 640.5")), HasSubstr("width: a whole number"));
+  EXPECT_THAT(refusal(with(kOwn, "width: 640", "width: 1e9")), HasSubstr("width: a whole number"));
+  EXPECT_THAT(refusal(with(kOwn, "model: pinhole", "model: spherical")), HasSubstr("model: 'pinhole' is wanted"));
+  EXPECT_THAT(refusal(with(kOwn, "radtan (k1 k2 p1 p2 k3)", "division")),
+              HasSubstr("'division' is unknown; known are"));
+  EXPECT_THAT(refusal(with(kOwn, ", 1.163314]", ", 1.16, 2.0]")), HasSubstr("distortion: 4 (k1 k2 p1 p2) or 5"));
+  EXPECT_THAT(refusal(with(kOwn, "1.163314", "1e6")), HasSubstr("beyond 100"));
+  EXPECT_THAT(refusal(with(kOwn, "image_channels: 3", "image_channels: 2")),
+              HasSubstr("image_channels: 1 (grey) or 3"));
+  EXPECT_THAT(refusal(with(kOwn, "fps: 30", "fps: -30")), HasSubstr("frame rate"));
+  EXPECT_THAT(refusal(with(kEuroc, "1, 0, 0, 0.2", "2, 0, 0, 0.2")), HasSubstr("T_BS: not a rigid motion"));
+  EXPECT_THAT(refusal(with(kEuroc, "resolution: [752, 480]", "resolution: 752")), HasSubstr("resolution: a list"));
+}
+
+TEST(Calibration, RefusesWhatIsNoCalibrationAtAll) {
+  EXPECT_THAT(refusal(""), HasSubstr("camera.yaml: not a list of 'key: value' lines"));
+  EXPECT_THAT(refusal("just words"), HasSubstr("not a list"));
+  EXPECT_THAT(refusal("a: 1\n"), HasSubstr("neither 'model'"));
+  EXPECT_THAT(refusal("a: [1, 2\nb: }"), HasSubstr("not YAML"));
+  EXPECT_THAT(refusal(std::string(100000, '[')), HasSubstr("camera.yaml"));
+  EXPECT_THAT(refusal("model: [pinhole]\n"), HasSubstr("model: a text is wanted"));
+}
+
+TEST(Calibration, ReadsTheSharedSequencesFiles) {
+  const char* shared = std::getenv("GODWIT_SHARED_DIR");
+  const std::string data = std::string(shared != nullptr ? shared : "../shared") + "/data/";
+  if (!std::filesystem::exists(data)) {
+    const char* ci = std::getenv("CI");
+    if (ci != nullptr && std::string(ci) == "true") FAIL() << data << " is absent";
+    GTEST_SKIP() << data << " is absent: the shared calibration files were not read";
+  }
+  for (const char* file : {"tum_fr1_xyz/camera.yaml", "euroc_mh01/camera.yaml", "euroc_mh01/cam0_sensor.yaml"}) {
+    const auto c = parse_calibration(test::read_file(data + file), file);
+    EXPECT_TRUE(c.ok()) << c.error().message;
+  }
+}
+
+}  // namespace
+}  // namespace godwit::hal
