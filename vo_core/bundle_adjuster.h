@@ -1,0 +1,64 @@
+// Bounded bundle adjustment (Triggs et al. 2000): poses of some keyframes and positions of the points they see, by
+// Levenberg-Marquardt with the Schur complement over the points. Huber weights. Fixed storage.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <memory>
+
+#include "vo_core/camera_model.h"
+#include "vo_core/geometry.h"
+#include "vo_core/map.h"
+
+namespace godwit::vo {
+
+struct BundleAdjusterOptions {
+  int max_free_keyframes = 14;
+  int max_iterations = 4;
+  double huber_px = 1.5;    ///< in units of a level-0 pixel's sigma
+  double outlier_px = 3.5;  ///< observations further off in the end are reported as outliers
+};
+
+struct BundleReport {
+  int free_keyframes = 0;
+  int fixed_keyframes = 0;
+  int points = 0;
+  int observations = 0;
+  int iterations = 0;
+  double rms_before_px = 0.0;
+  double rms_after_px = 0.0;
+  int outliers = 0;
+};
+
+class BundleAdjuster {
+ public:
+  static constexpr int kMaxFree = 24;
+  static constexpr int kMaxPoints_ = 3000;
+  static constexpr int kMaxObservations = 24000;
+  static constexpr int kMaxOutliers = 512;
+
+  BundleAdjuster(const CameraModel& camera, const BundleAdjusterOptions& options);
+  ~BundleAdjuster();
+  BundleAdjuster(const BundleAdjuster&) = delete;
+  BundleAdjuster& operator=(const BundleAdjuster&) = delete;
+
+  /// Adjusts keyframe `centre` and those that share most points with it, and all points that they see; other observers
+  /// are held fixed. Writes poses and points into the map. Keyframe with id 1 is never moved (gauge).
+  /// No allocation; bounded.
+  BundleReport run(Map* map, int centre);
+
+  /// After run(): places of the keyframes that moved, indices of points that moved, outlier observations.
+  int moved_keyframe_count() const;
+  int moved_keyframe(int i) const;
+  int moved_point_count() const;
+  int moved_point(int i) const;
+  int outlier_count() const;
+  Observation outlier(int i) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace godwit::vo

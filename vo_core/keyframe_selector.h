@@ -1,0 +1,37 @@
+// When a tracked frame becomes a keyframe. Pure logic over figures of the frame.
+#pragma once
+
+#include <cstdint>
+
+namespace godwit::vo {
+
+struct KeyframeSelectorOptions {
+  double min_distance = 0.10;          ///< distance to the nearest keyframe over the scene's median depth
+  double min_angle_rad = 0.26;         ///< or turned by this against the nearest keyframe
+  int min_frames = 2;                  ///< frames between two keyframes
+  double feature_drop = 0.7;           ///< tracked features below this share of the last keyframe's call for one
+  int low_features = 90;               ///< and so do fewer than this
+  double min_distance_on_drop = 0.02;  ///< but not without any motion
+};
+
+struct KeyframeFigures {
+  int frames_since_last = 0;
+  int features = 0;                ///< inliers of this frame
+  int last_keyframe_features = 0;  ///< inliers of the last keyframe when it was made
+  double nearest_distance = 0.0;   ///< to the nearest keyframe, over median depth
+  double nearest_angle_rad = 0.0;  ///< turned against that keyframe
+  double last_distance = 0.0;      ///< to the last keyframe, over median depth
+};
+
+enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDropped };
+
+inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const KeyframeFigures& f) {
+  if (f.frames_since_last < o.min_frames) return KeyframeReason::kNone;
+  if (f.nearest_distance > o.min_distance) return KeyframeReason::kMoved;
+  if (f.nearest_angle_rad > o.min_angle_rad) return KeyframeReason::kTurned;
+  const bool dropped = f.features < o.low_features || f.features < o.feature_drop * f.last_keyframe_features;
+  if (dropped && f.last_distance > o.min_distance_on_drop) return KeyframeReason::kFeaturesDropped;
+  return KeyframeReason::kNone;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,100 @@
+// The mapper: depth-filter seeds, new points, bundle adjustment and forgetting, on its own replica of the map. Runs
+// beside the tracker, never in its way; what it finds out goes back as deltas.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+
+#include "hal/rt/time.h"
+#include "vo_core/bundle_adjuster.h"
+#include "vo_core/camera_model.h"
+#include "vo_core/depth_filter.h"
+#include "vo_core/feature_detector.h"
+#include "vo_core/map_channel.h"
+
+namespace godwit::vo {
+
+struct MapperOptions {
+  FeatureDetectorOptions detector;
+  int features_per_keyframe = 200;  ///< tracked points and new seeds of a keyframe together
+  int max_seed_updates = 220;       ///< epipolar searches a frame
+  double converged_sigma = 0.02;    ///< sigma of depth over depth below which a seed becomes a point
+  double match_sigma_px = 1.0;      ///< noise of an epipolar match
+  int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
+  int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
+  int max_keyframes = 56;           ///< above: the least useful keyframe is forgotten
+  BundleAdjusterOptions bundle;
+};
+
+/// Counters and stage times of the last message, for logs.
+struct MapperReport {
+  MessageKind kind = MessageKind::kReset;
+  std::uint32_t sequence = 0;
+  int seeds = 0;
+  int seeds_updated = 0;
+  int points_new = 0;
+  int keyframes = 0;
+  int points = 0;
+  BundleReport bundle;
+};
+
+class Mapper {
+ public:
+  static constexpr int kMaxSeeds = 800;
+
+  /// All memory is taken here.
+  Mapper(const CameraModel& camera, const MapperOptions& options, MapChannel* channel);
+  ~Mapper();
+  Mapper(const Mapper&) = delete;
+  Mapper& operator=(const Mapper&) = delete;
+
+  /// Handles the oldest message, if there is one and a delta is free to answer with. False: nothing done. Bounded, no
+  /// allocation.
+  bool step();
+
+  /// References to frame slots that the mapper no longer needs. False when there are none.
+  bool take_release(SlotRelease* release);
+
+  const MapperReport& report() const { return report_; }
+  const Map& map() const { return map_; }
+
+ private:
+  struct Seed {
+    bool active = false;
+    int place = -1;
+    std::uint32_t keyframe_id = 0;
+    KeyframeFeature feature;
+    DepthEstimate estimate;
+    int misses = 0;
+  };
+
+  void handle_reset(const MapperMessage& m);
+  void handle_keyframe(const MapperMessage& m);
+  void update_seeds(const MapperMessage& m);
+  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& T_cam_world);
+  void create_seeds(int place, const MapperMessage& m);
+  bool seed_to_point(Seed* seed);
+  void find_observations(PointHandle h, int host);
+  void adjust(int place);
+  void forget_keyframes(int newest);
+  void release(int slot, int count);
+  void remove_point(PointHandle h);
+  void remove_observation(int place, int feature);
+
+  const CameraModel& camera_;
+  MapperOptions options_;
+  MapChannel* channel_;
+  MapDelta* delta_ = nullptr;
+  Map map_;
+  std::uint32_t epoch_ = 0;
+  FeatureDetector detector_;
+  BundleAdjuster bundle_;
+  std::unique_ptr<std::array<Seed, kMaxSeeds>> seeds_;
+  int next_seed_ = 0;
+  MapperReport report_;
+  std::array<SlotRelease, 2 * kMaxKeyframes> releases_;
+  int release_count_ = 0;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,46 @@
+// Motion-only bundle adjustment (Forster et al. 2014, section IV-C): the pose that makes the measured features agree
+// with the map, robust, with its covariance.
+#pragma once
+
+#include <span>
+
+#include "vo_core/camera_model.h"
+#include "vo_core/feature_detector.h"
+#include "vo_core/geometry.h"
+
+namespace godwit::vo {
+
+struct PoseMeasurement {
+  Vec2 px;  ///< measured, level-0 px
+  Vec3 p_world;
+  Vec2 gradient;  ///< edgelets: unit direction in which the measurement counts
+  double sigma_px = 1.0;
+  FeatureType type = FeatureType::kCorner;
+  bool inlier = true;  ///< result
+};
+
+struct PoseOptimizerOptions {
+  int max_iterations = 8;
+  double outlier_sigma = 3.0;  ///< a measurement further off than this many sigmas is an outlier in the end
+};
+
+struct PoseOptimizerResult {
+  int inliers = 0;
+  int measurements = 0;
+  double rms_px = 0.0;                 ///< of the inliers, weighted
+  double sigma_scale = 1.0;            ///< robust estimate of the noise in units of the stated sigmas
+  Mat6 covariance = Mat6::Identity();  ///< of the left twist (v, w) of T_cam_world, scaled by the measured noise
+  bool ok = false;
+};
+
+/// Refines T_cam_world in place; marks outliers. ok = false (pose untouched) when fewer than 10 inliers remain or the
+/// normal equations are singular. No allocation.
+PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizerOptions& options,
+                                  std::span<PoseMeasurement> measurements, SE3* T_cam_world);
+
+/// Residual [px] and its Jacobian for the left twist of T_cam_world: the measured minus the predicted pixel. False when
+/// the point cannot be seen.
+bool pose_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, Vec2* residual,
+                   Mat26* J);
+
+}  // namespace godwit::vo

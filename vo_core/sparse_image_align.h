@@ -1,0 +1,76 @@
+// Sparse model-based image alignment (Forster et al. 2014, section IV-A; the paper, section 2.5): the motion between
+// two frames that makes the small patches around known points agree, inverse compositional, coarse to fine.
+#pragma once
+
+#include <array>
+#include <span>
+
+#include "hal/rt/image.h"
+#include "vo_core/camera_model.h"
+#include "vo_core/geometry.h"
+#include "vo_core/map_exchange.h"
+
+namespace godwit::vo {
+
+struct SparseAlignOptions {
+  int max_level = 4;
+  int min_level = 2;
+  int max_iterations = 8;
+  float huber_px = 8.0f;  ///< patch residual [grey levels, rms] at which robust weights set in
+};
+
+/// A point with its place in the reference frame.
+struct AlignPoint {
+  Vec2f px;    ///< reference frame, level-0 px
+  Vec3 p_ref;  ///< reference camera frame, map units
+};
+
+/// What is known of the rotation beforehand, from a gyroscope say.
+struct RotationPrior {
+  Mat3 R_cur_ref = Mat3::Identity();
+  double sigma_rad = 0.0;  ///< 0: no prior
+};
+
+struct SparseAlignResult {
+  SE3 T_cur_ref;
+  int patches = 0;    ///< patches that took part at the finest level
+  float rms = 0.0f;   ///< robustly weighted residual there [grey levels]
+  float gain = 1.0f;  ///< I_cur = gain * I_ref + offset
+  float offset = 0.0f;
+};
+
+/// Works in its own fixed buffers; run() does not allocate.
+class SparseImageAlign {
+ public:
+  SparseImageAlign(const CameraModel& camera, const SparseAlignOptions& options) : camera_(camera), options_(options) {}
+
+  /// Aligns cur to ref starting from T_init. At most kMaxFrameFeatures points are used.
+  SparseAlignResult run(const rt::PyramidView& ref, const rt::PyramidView& cur, std::span<const AlignPoint> points,
+                        const SE3& T_init, const RotationPrior& prior);
+
+ private:
+  static constexpr int kParams = 8;  // translation, rotation, gain, offset
+  using VecP = Eigen::Matrix<float, kParams, 1>;
+  using MatP = Eigen::Matrix<float, kParams, kParams>;
+
+  struct Patch {
+    alignas(16) std::array<float, 16> value, gx, gy;  // grey levels; gradient in grey levels per level pixel
+    Eigen::Matrix<float, 2, 6> J;                     // d level pixel / d twist of the reference point
+    Eigen::Matrix<float, 6, 1> ones, values;          // sums of J^T g and J^T g I over the patch
+    Eigen::Matrix<float, 6, 6> H;
+    float sum_i, sum_ii;
+    Vec3 p_ref;
+    bool visible;
+  };
+
+  void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
+  int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, float gain, float offset, MatP* H, VecP* b,
+                 float* cost);
+
+  const CameraModel& camera_;
+  SparseAlignOptions options_;
+  int patch_count_ = 0;
+  std::array<Patch, kMaxFrameFeatures> patches_;
+};
+
+}  // namespace godwit::vo

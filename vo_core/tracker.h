@@ -1,0 +1,147 @@
+// The tracker: a frame in, a pose out. Owns the map; never waits for the mapper.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "hal/rt/image.h"
+#include "hal/rt/time.h"
+#include "vo_core/camera_model.h"
+#include "vo_core/initializer.h"
+#include "vo_core/keyframe_selector.h"
+#include "vo_core/map_channel.h"
+#include "vo_core/pose_optimizer.h"
+#include "vo_core/reprojector.h"
+#include "vo_core/sparse_image_align.h"
+
+namespace godwit::vo {
+
+/// DESIGN.md: INITIALISING -> TRACKING <-> COASTING -> RELOCALISING -> LOST.
+enum class State : std::uint8_t { kInitialising, kTracking, kCoasting, kRelocalising, kLost };
+const char* state_name(State s);
+
+/// Time of each stage of one tracking call [ns]; zero where the stage did not run or no clock was given.
+struct StageTimes {
+  rt::TimeNs pyramid = 0, apply = 0, initialise = 0, align = 0, reproject = 0, pose = 0, keyframe = 0;
+};
+
+struct FrameInput {
+  rt::ImageView grey;  ///< level 0, rows aligned to rt::kRowAlignment
+  std::uint8_t* pyramid_storage = nullptr;
+  std::size_t pyramid_bytes = 0;
+  rt::MaskPyramidView mask;  ///< dynamic pixels, or levels == 0
+  int slot = -1;             ///< with two references: the tracker's and the mapper's
+  std::uint32_t sequence = 0;
+  rt::TimeNs t_capture_ns = 0;
+  RotationPrior rotation;  ///< rotation since the last frame, from an IMU
+};
+
+struct FrameResult {
+  State state = State::kInitialising;
+  bool tracked = false;  ///< at least min_measurements image measurements updated the pose
+  bool is_keyframe = false;
+  std::uint32_t map_id = 0;        ///< counts from 1; 0 when there is no map
+  int measurements = 0;            ///< inliers of the pose optimisation
+  int matches = 0;                 ///< aligned points
+  int candidates = 0;              ///< map points projected into the picture
+  SE3 T_world_cam;                 ///< valid when tracked
+  Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world, map units and rad
+  double median_depth = 0.0;
+  double rms_px = 0.0;
+  bool map_moved = false;   ///< a delta with moved poses was applied before this frame
+  int reason_value = 0;     ///< measured figure behind `reason`
+  int reason_limit = 0;     ///< and its limit
+  const char* reason = "";  ///< why the state is what it is, static text
+  InitReport init;
+  StageTimes times;
+};
+
+struct TrackerOptions {
+  InitializerOptions initializer;
+  SparseAlignOptions align;
+  ReprojectorOptions reprojector;
+  PoseOptimizerOptions pose;
+  KeyframeSelectorOptions keyframe;
+  int min_measurements = 30;
+  int delta_delay_frames = 0;  ///< sequential runs: a delta is applied so many frames after the message that caused it
+  int lost_frames_reset = 45;  ///< frames without a pose after which a new map is begun
+  rt::TimeNs (*clock)() = nullptr;  ///< for stage times only; nothing depends on it
+};
+
+class Tracker {
+ public:
+  Tracker(const CameraModel& camera, const TrackerOptions& options, MapChannel* channel);
+  ~Tracker();
+  Tracker(const Tracker&) = delete;
+  Tracker& operator=(const Tracker&) = delete;
+
+  /// Estimates the pose of one frame. No allocation, bounded, no wait. Frames come in the order of their time.
+  FrameResult track(const FrameInput& frame);
+
+  /// References to frame slots that the tracker no longer needs. False when there are none.
+  bool take_release(SlotRelease* release);
+
+  const Map& map() const { return *map_; }
+  /// The measurements behind the last tracked frame's pose (inliers first matched in map order).
+  std::span<const FrameFeature> features() const;
+
+ private:
+  struct Frame {
+    int slot = -1;
+    bool holds_mapper_reference = false;
+    rt::PyramidView pyramid;
+    SE3 T_cam_world;
+    std::uint32_t sequence = 0;
+    rt::TimeNs t_capture_ns = 0;
+  };
+
+  void begin_map();
+  void apply_deltas(FrameResult* result);
+  void apply(const MapDelta& d);
+  void initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
+  bool estimate(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
+  void consider_keyframe(Frame* frame, FrameResult* result);
+  bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
+  int insert_keyframe(const Frame& frame, std::uint32_t id);
+  double scene_depth(const SE3& T_cam_world, double* min_depth);
+  void retire(Frame* frame);
+  void release(int slot, int count);
+  rt::TimeNs now() const { return options_.clock ? options_.clock() : 0; }
+
+  const CameraModel camera_;
+  TrackerOptions options_;
+  MapChannel* channel_;
+  std::unique_ptr<Map> map_;
+  Initializer initializer_;
+  std::unique_ptr<SparseImageAlign> align_;
+  std::unique_ptr<Reprojector> reprojector_;
+
+  State state_ = State::kInitialising;
+  std::uint32_t epoch_ = 0;
+  std::uint32_t map_id_ = 0;
+  std::uint32_t frame_counter_ = 0;
+  std::uint32_t next_keyframe_id_ = 1;
+  int lost_frames_ = 0;
+  bool reset_pending_ = true;
+
+  Frame first_;        ///< first view of the initialisation
+  Frame last_;         ///< last frame with a pose
+  SE3 T_last_before_;  ///< motion last_ <- the one before it: constant-velocity prediction
+  bool have_velocity_ = false;
+  std::array<FrameFeature, kMaxFrameFeatures> features_, features_scratch_;
+  int feature_count_ = 0;
+  std::array<PoseMeasurement, kMaxFrameFeatures> measurements_;
+  std::array<AlignPoint, kMaxFrameFeatures> align_points_;
+
+  std::uint32_t last_keyframe_id_ = 0;
+  int frames_since_keyframe_ = 0;
+  int last_keyframe_features_ = 0;
+  double median_depth_ = 1.0, min_depth_ = 0.3;
+
+  std::array<SlotRelease, 2 * kMaxKeyframes + 8> releases_;
+  int release_count_ = 0;
+};
+
+}  // namespace godwit::vo
