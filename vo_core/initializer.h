@@ -11,18 +11,23 @@
 #include "vo_core/camera_model.h"
 #include "vo_core/feature_detector.h"
 #include "vo_core/geometry.h"
+#include "vo_core/two_view_geometry.h"
 
 namespace godwit::vo {
 
 struct InitializerOptions {
-  int features = 400;               ///< tracks started in the first frame
-  int min_tracks = 80;              ///< fewer left: start again from the present frame
-  double min_disparity_px = 8.0;    ///< median motion of the tracks below which no model is tried
-  double min_parallax_deg = 0.8;    ///< median angle between the rays of the triangulated points
-  int min_points = 60;              ///< accepted points of the first map
-  double homography_ratio = 0.4;    ///< R_H above this picks the homography (the paper, equation for R_H)
+  int features = 400;                  ///< tracks started in the first frame
+  int min_tracks = 80;                 ///< fewer left: start again from the present frame
+  double min_disparity_px = 2.0;       ///< median motion of the tracks below which nothing is tried
+  double min_parallax_px = 0.6;        ///< median distance of the tracks from the best pure rotation, to be tried
+  double min_parallax_deg = 0.3;       ///< median angle between the rays of the triangulated points
+  int min_points = 60;                 ///< accepted points of the first map
+  double max_depth_uncertainty = 0.1;  ///< median of depth_sigma / depth above which the map is refused
+  double max_ambiguity = 0.9;          ///< robust cost of the best motion over that of a different one, at most
+  double homography_ratio = 0.4;       ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
-  double sigma_px = 1.0;            ///< measurement noise in the transfer error's outlier cut
+  double sigma_px = 1.0;               ///< measurement noise in the transfer error's outlier cut
+  double min_noise_px = 0.15;          ///< the tracks are never believed to be better than this
 };
 
 enum class InitStatus : std::uint8_t {
@@ -30,12 +35,11 @@ enum class InitStatus : std::uint8_t {
   kTooFewFeatures,  ///< not enough features in the first view
   kTracksLost,      ///< too few tracks left: this frame became the first view
   kNoMotion,        ///< disparity too small to try
-  kNoParallax,      ///< motion, but a rotation explains it, or the rays are too parallel
-  kNoModel,         ///< neither model stands (too few inliers, ambiguous decomposition, points behind the camera)
+  kNoParallax,      ///< motion, but a rotation explains it, the rays are too parallel or the depths too uncertain
+  kNoModel,         ///< neither model stands (too few inliers or points in front of the cameras)
+  kAmbiguous,       ///< two different motions explain the tracks about equally well
   kDone
 };
-
-enum class InitModel : std::uint8_t { kNone, kHomography, kFundamental };
 
 /// One point of the first map.
 struct InitPoint {
@@ -54,7 +58,11 @@ struct InitReport {
   int points = 0;
   double median_disparity_px = 0;
   double median_parallax_deg = 0;
+  double parallax_px = 0;        ///< median distance of the tracks from the best pure rotation
   double ratio_homography = 0;   ///< R_H
+  double depth_uncertainty = 0;  ///< median of depth_sigma / depth
+  double ambiguity = 0;          ///< robust cost of the best motion over that of the next different one; 0: there is none
+  double noise_px = 0;           ///< of one coordinate of a track, from the residuals
 };
 
 /// All buffers are allocated by the constructor; add_frame does not allocate and is bounded. One thread at a time.

@@ -1,0 +1,371 @@
+#include "vo_core/initializer.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "vo_core/klt_tracker.h"
+#include "vo_core/multi_view_refine.h"
+#include "vo_core/rotation_fit.h"
+
+namespace godwit::vo {
+namespace {
+
+constexpr int kMaxTracks = KltTracker::kMaxTracks;
+/// Views since the first that are remembered; when full, every second one is forgotten.
+constexpr int kHistory = 24;
+/// A view further than this from the optical axis cannot be written on the plane z = 1.
+constexpr double kMinBearingZ = 0.2;
+/// Two motions differ if their directions or their rotations do by more than this.
+constexpr double kSameDirectionRad = 0.17, kSameRotationRad = 0.01;
+/// A candidate motion needs this share of the model's inliers in front of both cameras. Low on purpose: far points
+/// fall on either side by noise; what is wrong is refused by its cost.
+constexpr double kMinFrontShare = 0.6;
+
+bool is_masked(const rt::MaskPyramidView& mask, const Vec2f& px) {
+  if (mask.levels == 0) return false;
+  const rt::ImageView& m = mask.level[0];
+  const int x = static_cast<int>(std::lround(px.x())), y = static_cast<int>(std::lround(px.y()));
+  return x < 0 || y < 0 || x >= m.width || y >= m.height || m.at(x, y) != 0;
+}
+
+bool same_motion(const SE3& a, const SE3& b) {
+  const double c = a.t.normalized().dot(b.t.normalized());
+  return std::acos(std::clamp(c, -1.0, 1.0)) < kSameDirectionRad &&
+         so3_log(a.R.transpose() * b.R).norm() < kSameRotationRad;
+}
+
+FeatureDetectorOptions detector_options() {
+  FeatureDetectorOptions o;
+  o.levels = 2;
+  o.border_px = KltTracker::kFinePatch / 2 + 4;
+  o.edgelets = false;
+  return o;
+}
+
+TwoViewOptions two_view_options(const InitializerOptions& o) {
+  return {o.ransac_iterations, o.sigma_px, o.homography_ratio};
+}
+
+}  // namespace
+
+struct Initializer::Impl {
+  /// A past view: where the tracks lay on the plane z = 1.
+  struct View {
+    std::array<Vec2, kMaxTracks> xy;
+    double parallax_px = 0;
+  };
+  struct Solution {
+    MultiViewState state;
+    InitModel model = InitModel::kNone;
+    double cost = 0;
+  };
+
+  CameraModel camera;
+  InitializerOptions options;
+  FeatureDetector detector;
+  KltTracker tracker{KltOptions{}};
+  TwoViewGeometry two_view;
+  MultiViewRefiner refiner;
+
+  bool started = false;
+  std::vector<Feature> features;
+  std::vector<Vec2f> starts;
+  std::array<Vec2, kMaxTracks> first_xy;
+  std::vector<View> history;
+  int history_count = 0;
+  Mat3 R_cur_ref = Mat3::Identity();  ///< best pure rotation to the latest view
+
+  // The living tracks, packed.
+  int count = 0;
+  std::array<int, kMaxTracks> track_of;
+  std::vector<Vec2> ref_xy, cur_xy, gathered, ref_px, cur_px;
+  std::vector<double> scratch, depth_sigma;
+  std::vector<std::uint8_t> good;
+  std::array<Solution, 4> solutions;
+  int solution_count = 0;
+
+  SE3 T_cur_ref;
+  std::vector<InitPoint> points;
+  int point_count = 0;
+
+  Impl(const CameraModel& c, const InitializerOptions& o)
+      : camera(c), options(o), detector(c.width(), c.height(), detector_options()), two_view(two_view_options(o)) {
+    features.resize(kMaxTracks);
+    starts.resize(kMaxTracks);
+    history.resize(kHistory);
+    for (auto* v : {&ref_xy, &cur_xy, &gathered, &ref_px, &cur_px}) v->resize(kMaxTracks);
+    for (auto* v : {&scratch, &depth_sigma}) v->resize(kMaxTracks);
+    good.resize(kMaxTracks);
+    points.resize(kMaxTracks);
+  }
+
+  double focal() const { return 1.0 / camera.rad_per_px(); }
+
+  /// Pixel to the plane z = 1; false beyond kMinBearingZ.
+  bool to_plane(const Vec2f& px, Vec2* xy) const {
+    const Vec3 bearing = camera.unproject(px.cast<double>());
+    if (!(bearing.z() > kMinBearingZ)) return false;
+    *xy = bearing.head<2>() / bearing.z();
+    return true;
+  }
+
+  double median(int n) {
+    const auto middle = scratch.begin() + n / 2;
+    std::nth_element(scratch.begin(), middle, scratch.begin() + n);
+    return *middle;
+  }
+
+  InitReport start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitStatus status) {
+    InitReport report;
+    started = false;
+    history_count = 0;
+    R_cur_ref.setIdentity();
+    const int wanted = std::clamp(options.features, 1, kMaxTracks);
+    const int found = detector.detect(frame, mask, {}, wanted, features);
+    for (int i = 0; i < found; ++i) starts[static_cast<std::size_t>(i)] = features[static_cast<std::size_t>(i)].px;
+    report.tracks = tracker.set_reference(frame, {starts.data(), static_cast<std::size_t>(found)});
+    for (int i = 0; i < found; ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      if (tracker.tracks()[k].alive && !to_plane(starts[k], &first_xy[k])) {
+        tracker.drop(i);
+        --report.tracks;
+      }
+    }
+    started = report.tracks >= options.min_tracks;
+    report.status = started ? status : InitStatus::kTooFewFeatures;
+    return report;
+  }
+
+  /// Follows the tracks and packs those that live. Fills tracks and median_disparity_px.
+  void follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitReport* report) {
+    tracker.track(frame);
+    if (history_count == kHistory) {
+      for (int k = 0; 2 * k < kHistory; ++k)
+        history[static_cast<std::size_t>(k)] = history[static_cast<std::size_t>(2 * k + 1)];
+      history_count = kHistory / 2;
+    }
+    View& view = history[static_cast<std::size_t>(history_count)];
+    count = 0;
+    for (int i = 0; i < static_cast<int>(tracker.tracks().size()); ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      const KltTrack& track = tracker.tracks()[k];
+      if (!track.alive) continue;
+      if (is_masked(mask, track.px) || !to_plane(track.px, &view.xy[k])) {
+        tracker.drop(i);
+        continue;
+      }
+      const auto n = static_cast<std::size_t>(count++);
+      track_of[n] = i;
+      ref_xy[n] = first_xy[k];
+      cur_xy[n] = view.xy[k];
+      scratch[n] = static_cast<double>((track.px - track.px_ref).norm());
+    }
+    report->tracks = count;
+    if (count > 0) report->median_disparity_px = median(count);
+  }
+
+  /// Views for the refinement: the present one and, spread evenly over them, past ones that saw at least a quarter of
+  /// its parallax. Returns how many; the last is the present one.
+  int choose_views(std::array<int, MultiViewRefiner::kMaxViews>* chosen) const {
+    const double least = 0.25 * history[static_cast<std::size_t>(history_count - 1)].parallax_px;
+    std::array<int, kHistory> usable;
+    int n = 0;
+    for (int k = 0; k + 1 < history_count; ++k)
+      if (history[static_cast<std::size_t>(k)].parallax_px >= least) usable[static_cast<std::size_t>(n++)] = k;
+    const int take = std::min(n, MultiViewRefiner::kMaxViews - 1);
+    for (int k = 0; k < take; ++k)
+      (*chosen)[static_cast<std::size_t>(k)] = usable[static_cast<std::size_t>((2 * k + 1) * n / (2 * take))];
+    (*chosen)[static_cast<std::size_t>(take)] = history_count - 1;
+    return take + 1;
+  }
+
+  /// From a motion of two views to all views: depths by triangulation, the views between by pose alone, then together.
+  void solve(const TwoViewCandidate& candidate, int views, Solution* out) {
+    out->model = candidate.model;
+    MultiViewState& state = out->state;
+    const int last = views - 1;
+    for (int k = 0; k < views; ++k) state.T_view_ref[static_cast<std::size_t>(k)] = candidate.T_b_a;
+    int positive = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      double inverse_depth = 0;
+      if (!triangulate_inverse_depth(candidate.T_b_a, ref_xy[p], cur_xy[p], &inverse_depth)) inverse_depth = 0;
+      state.inverse_depth[p] = inverse_depth;
+      if (inverse_depth > 0) scratch[static_cast<std::size_t>(positive++)] = inverse_depth;
+    }
+    const double typical = positive > 0 ? median(positive) : 1.0;
+    for (int i = 0; i < count; ++i) {
+      double& rho = state.inverse_depth[static_cast<std::size_t>(i)];
+      if (!(rho > 0.1 * typical && rho < 10.0 * typical)) rho = typical;
+    }
+    refiner.refine_pose(last, 3, &state);
+    const double length = state.T_view_ref[static_cast<std::size_t>(last)].t.norm();
+    if (length > 1e-6) {  // the pose alone is free in length; the unit is the last view's distance
+      state.T_view_ref[static_cast<std::size_t>(last)].t /= length;
+      for (int i = 0; i < count; ++i) state.inverse_depth[static_cast<std::size_t>(i)] *= length;
+    }
+    for (int k = last - 1; k >= 0; --k) {
+      state.T_view_ref[static_cast<std::size_t>(k)] = state.T_view_ref[static_cast<std::size_t>(k + 1)];
+      refiner.refine_pose(k, 4, &state);
+    }
+    refiner.refine(4, &state);
+  }
+
+  /// Marks the points that fit every view, lie in front and are neither absurdly near nor far. Returns their number.
+  int judge(const MultiViewState& state, double noise_px) {
+    int n = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (state.inverse_depth[p] > 0) scratch[static_cast<std::size_t>(n++)] = state.inverse_depth[p];
+    }
+    if (n == 0) return 0;
+    const double typical = median(n);
+    int accepted = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      const double rho = state.inverse_depth[p];
+      good[p] = rho > 0.02 * typical && rho < 20.0 * typical && refiner.point_rms(state, i) < 2.5 * noise_px ? 1 : 0;
+      accepted += good[p];
+    }
+    return accepted;
+  }
+
+  /// Writes the accepted points with median depth 1 and returns the median of depth_sigma / depth.
+  void publish(const MultiViewState& state, int views) {
+    int n = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (good[p] != 0) scratch[static_cast<std::size_t>(n++)] = 1.0 / state.inverse_depth[p];
+    }
+    const double scale = 1.0 / median(n);
+    T_cur_ref = state.T_view_ref[static_cast<std::size_t>(views - 1)];
+    T_cur_ref.t *= scale;
+    point_count = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (good[p] == 0) continue;
+      const auto track = static_cast<std::size_t>(track_of[p]);
+      const double depth = scale / state.inverse_depth[p];
+      const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
+      points[static_cast<std::size_t>(point_count++)] = {
+          tracker.tracks()[track].px_ref, tracker.tracks()[track].px, features[track].level, depth * ray,
+          depth_sigma[p] * depth * ray.norm()};
+    }
+  }
+
+  /// The decision on the packed tracks. The caller has found enough disparity and parallax.
+  void decide(InitReport* report) {
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      ref_px[p] = focal() * ref_xy[p];
+      cur_px[p] = focal() * cur_xy[p];
+    }
+    const auto n = static_cast<std::size_t>(count);
+    const TwoViewResult pair = two_view.estimate({ref_px.data(), n}, {cur_px.data(), n}, focal());
+    report->model = pair.model;
+    report->inliers = pair.inliers;
+    report->ratio_homography = pair.ratio_homography;
+    report->status = InitStatus::kNoModel;
+    if (pair.inliers < options.min_points) return;
+
+    std::array<int, MultiViewRefiner::kMaxViews> chosen;
+    const int views = choose_views(&chosen);
+    refiner.begin({ref_xy.data(), n}, focal(), options.min_noise_px);
+    for (int k = 0; k < views; ++k) {
+      const View& view = history[static_cast<std::size_t>(chosen[static_cast<std::size_t>(k)])];
+      for (std::size_t i = 0; i < n; ++i) gathered[i] = view.xy[static_cast<std::size_t>(track_of[i])];
+      refiner.add_view({gathered.data(), n});
+    }
+
+    solution_count = 0;
+    double noise = std::numeric_limits<double>::max();
+    for (int k = 0; k < pair.candidate_count; ++k) {
+      const TwoViewCandidate& candidate = pair.candidates[static_cast<std::size_t>(k)];
+      if (candidate.in_front < kMinFrontShare * pair.inliers) continue;
+      Solution& s = solutions[static_cast<std::size_t>(solution_count++)];
+      solve(candidate, views, &s);
+      noise = std::min(noise, refiner.sigma(s.state));
+    }
+    if (solution_count == 0) return;
+    int best = 0;
+    for (int k = 0; k < solution_count; ++k) {
+      Solution& s = solutions[static_cast<std::size_t>(k)];
+      s.cost = refiner.cost(s.state, noise);
+      if (s.cost < solutions[static_cast<std::size_t>(best)].cost) best = k;
+    }
+    Solution& s = solutions[static_cast<std::size_t>(best)];
+    const auto last = static_cast<std::size_t>(views - 1);
+    for (int k = 0; k < solution_count; ++k) {
+      const Solution& other = solutions[static_cast<std::size_t>(k)];
+      if (k == best || same_motion(s.state.T_view_ref[last], other.state.T_view_ref[last])) continue;
+      report->ambiguity = std::max(report->ambiguity, s.cost / other.cost);
+    }
+    refiner.refine(4, &s.state);
+    refiner.refine(4, &s.state);
+    report->noise_px = refiner.sigma(s.state);
+    report->points = judge(s.state, report->noise_px);
+    if (report->points < options.min_points) return;
+    report->status = InitStatus::kNoParallax;
+    if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n})) return;
+
+    int m = 0;
+    for (std::size_t i = 0; i < n; ++i)
+      if (good[i] != 0) scratch[static_cast<std::size_t>(m++)] = depth_sigma[i];
+    report->depth_uncertainty = median(m);
+    m = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+      if (good[i] == 0) continue;
+      const Vec3 ray(ref_xy[i].x(), ref_xy[i].y(), 1.0);
+      const Vec3 p = ray / s.state.inverse_depth[i];
+      const Vec3 centre = s.state.T_view_ref[last].inverse().t;
+      const double c = p.normalized().dot((p - centre).normalized());
+      scratch[static_cast<std::size_t>(m++)] = std::acos(std::clamp(c, -1.0, 1.0)) * 180.0 / M_PI;
+    }
+    report->median_parallax_deg = median(m);
+    if (report->median_parallax_deg < options.min_parallax_deg) return;
+    if (report->depth_uncertainty > options.max_depth_uncertainty) return;
+    report->status = InitStatus::kAmbiguous;
+    if (report->ambiguity > options.max_ambiguity) return;
+    publish(s.state, views);
+    report->status = InitStatus::kDone;
+  }
+};
+
+Initializer::Initializer(const CameraModel& camera, const InitializerOptions& options)
+    : impl_(std::make_unique<Impl>(camera, options)) {}
+Initializer::~Initializer() = default;
+
+void Initializer::reset() {
+  impl_->started = false;
+  impl_->point_count = 0;
+}
+
+InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask) {
+  Impl& m = *impl_;
+  m.point_count = 0;
+  if (!m.started) return m.start(frame, mask, InitStatus::kFirstFrame);
+  InitReport report;
+  m.follow(frame, mask, &report);
+  if (report.tracks < m.options.min_tracks) return m.start(frame, mask, InitStatus::kTracksLost);
+  const auto n = static_cast<std::size_t>(m.count);
+  report.parallax_px = fit_rotation({m.ref_xy.data(), n}, {m.cur_xy.data(), n}, m.focal(), m.scratch, &m.R_cur_ref);
+  m.history[static_cast<std::size_t>(m.history_count++)].parallax_px = report.parallax_px;
+  if (report.median_disparity_px < m.options.min_disparity_px) {
+    report.status = InitStatus::kNoMotion;
+  } else if (report.parallax_px < m.options.min_parallax_px) {
+    report.status = InitStatus::kNoParallax;
+  } else {
+    m.decide(&report);
+  }
+  return report;
+}
+
+const SE3& Initializer::T_cur_ref() const { return impl_->T_cur_ref; }
+std::span<const InitPoint> Initializer::points() const {
+  return {impl_->points.data(), static_cast<std::size_t>(impl_->point_count)};
+}
+
+}  // namespace godwit::vo
