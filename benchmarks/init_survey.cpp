@@ -84,7 +84,8 @@ const Frame* load(Sequence* s, std::size_t i) {
 }
 
 bool truth_at(const std::vector<Stamped>& truth, double t, SE3* T) {
-  const auto after = std::lower_bound(truth.begin(), truth.end(), t, [](const Stamped& s, double v) { return s.t < v; });
+  const auto after =
+      std::lower_bound(truth.begin(), truth.end(), t, [](const Stamped& s, double v) { return s.t < v; });
   if (after == truth.begin() || after == truth.end() || after->t - (after - 1)->t > 0.1) return false;
   const Stamped &a = *(after - 1), &b = *after;
   const double f = (t - a.t) / (b.t - a.t);
@@ -96,14 +97,22 @@ bool truth_at(const std::vector<Stamped>& truth, double t, SE3* T) {
 const char* name(godwit::vo::InitStatus s) {
   using S = godwit::vo::InitStatus;
   switch (s) {
-    case S::kFirstFrame: return "first";
-    case S::kTooFewFeatures: return "few-features";
-    case S::kTracksLost: return "lost";
-    case S::kNoMotion: return "no-motion";
-    case S::kNoParallax: return "no-parallax";
-    case S::kNoModel: return "no-model";
-    case S::kAmbiguous: return "ambiguous";
-    case S::kDone: return "done";
+    case S::kFirstFrame:
+      return "first";
+    case S::kTooFewFeatures:
+      return "few-features";
+    case S::kTracksLost:
+      return "lost";
+    case S::kNoMotion:
+      return "no-motion";
+    case S::kNoParallax:
+      return "no-parallax";
+    case S::kNoModel:
+      return "no-model";
+    case S::kAmbiguous:
+      return "ambiguous";
+    case S::kDone:
+      return "done";
   }
   return "?";
 }
@@ -120,18 +129,28 @@ bool set(const std::string& assignment, godwit::vo::InitializerOptions* o) {
   if (equals == std::string::npos) return false;
   const std::string key = assignment.substr(0, equals);
   const double value = std::strtod(assignment.c_str() + equals + 1, nullptr);
-  if (key == "min_disparity_px") o->min_disparity_px = value;
-  else if (key == "min_parallax_px") o->min_parallax_px = value;
-  else if (key == "min_parallax_deg") o->min_parallax_deg = value;
-  else if (key == "max_depth_uncertainty") o->max_depth_uncertainty = value;
-  else if (key == "max_ambiguity") o->max_ambiguity = value;
-  else if (key == "min_noise_px") o->min_noise_px = value;
-  else if (key == "features") o->features = static_cast<int>(value);
-  else return false;
+  if (key == "min_disparity_px")
+    o->min_disparity_px = value;
+  else if (key == "min_parallax_px")
+    o->min_parallax_px = value;
+  else if (key == "min_parallax_deg")
+    o->min_parallax_deg = value;
+  else if (key == "max_depth_uncertainty")
+    o->max_depth_uncertainty = value;
+  else if (key == "max_ambiguity")
+    o->max_ambiguity = value;
+  else if (key == "min_noise_px")
+    o->min_noise_px = value;
+  else if (key == "features")
+    o->features = static_cast<int>(value);
+  else
+    return false;
   return true;
 }
 
-double degrees(double rad) { return rad * 180.0 / M_PI; }
+double degrees(double rad) {
+  return rad * 180.0 / M_PI;
+}
 
 }  // namespace
 
@@ -145,12 +164,18 @@ int main(int argc, char** argv) {
   std::vector<std::size_t> offsets;
   for (int i = 2; i < argc; ++i) {
     const std::string a = argv[i];
-    if (a == "--every" && i + 1 < argc) every = std::strtoul(argv[++i], nullptr, 10);
-    else if (a == "--limit" && i + 1 < argc) limit = std::strtoul(argv[++i], nullptr, 10);
-    else if (a == "--trace" && i + 1 < argc) trace = std::strtol(argv[++i], nullptr, 10);
-    else if (a == "--set" && i + 1 < argc && set(argv[i + 1], &options)) ++i;
-    else if (a.rfind("--", 0) == 0) return usage(argv[0]);
-    else offsets.push_back(std::strtoul(a.c_str(), nullptr, 10));
+    if (a == "--every" && i + 1 < argc)
+      every = std::strtoul(argv[++i], nullptr, 10);
+    else if (a == "--limit" && i + 1 < argc)
+      limit = std::strtoul(argv[++i], nullptr, 10);
+    else if (a == "--trace" && i + 1 < argc)
+      trace = std::strtol(argv[++i], nullptr, 10);
+    else if (a == "--set" && i + 1 < argc && set(argv[i + 1], &options))
+      ++i;
+    else if (a.rfind("--", 0) == 0)
+      return usage(argv[0]);
+    else
+      offsets.push_back(std::strtoul(a.c_str(), nullptr, 10));
   }
   for (const auto& row : read_table(s.folder + "/rgb.txt"))
     if (row.size() >= 2) s.pictures.emplace_back(std::stod(row[0]), row[1]);
@@ -167,10 +192,11 @@ int main(int argc, char** argv) {
   s.cache.resize(s.pictures.size());
   const YAML::Node y = YAML::LoadFile(s.folder + "/camera.yaml");
   std::array<double, 5> d{};
-  for (std::size_t i = 0; i < std::min<std::size_t>(5, y["distortion"].size()); ++i) d[i] = y["distortion"][i].as<double>();
-  const auto camera = godwit::vo::CameraModel::pinhole_radtan(
-      y["width"].as<int>(), y["height"].as<int>(), y["fx"].as<double>(), y["fy"].as<double>(), y["cx"].as<double>(),
-      y["cy"].as<double>(), d);
+  for (std::size_t i = 0; i < std::min<std::size_t>(5, y["distortion"].size()); ++i)
+    d[i] = y["distortion"][i].as<double>();
+  const auto camera =
+      godwit::vo::CameraModel::pinhole_radtan(y["width"].as<int>(), y["height"].as<int>(), y["fx"].as<double>(),
+                                              y["fy"].as<double>(), y["cx"].as<double>(), y["cy"].as<double>(), d);
   if (!camera.ok()) {
     std::fprintf(stderr, "%s/camera.yaml: %s\n", s.folder.c_str(), camera.error().message.c_str());
     return 1;
@@ -213,17 +239,22 @@ int main(int argc, char** argv) {
           const SE3 T = T_world_cur.inverse() * T_world_ref;
           base = T.t.norm();
           if (done) {
-            direction = degrees(std::acos(std::clamp(T.t.normalized().dot(init.T_cur_ref().t.normalized()), -1.0, 1.0)));
+            direction =
+                degrees(std::acos(std::clamp(T.t.normalized().dot(init.T_cur_ref().t.normalized()), -1.0, 1.0)));
             rotation = degrees(godwit::vo::so3_log(T.R.transpose() * init.T_cur_ref().R).norm());
           }
         }
         std::sort(waiting.begin(), waiting.end());
-        std::printf("%6zu %6zu %-12s %-2s %5.2f %5d %5d %6.1f %6.2f %6.2f %6.3f %6.2f %6.2f | %6.2f %6.2f %6.3f | %6.2f %6.2f\n",
-                    offset, used, name(r.status),
-                    r.model == godwit::vo::InitModel::kHomography ? "H" : r.model == godwit::vo::InitModel::kFundamental ? "F" : "-",
-                    r.ratio_homography, r.tracks, r.points, r.median_disparity_px, r.parallax_px, r.median_parallax_deg,
-                    r.depth_uncertainty, r.ambiguity, r.noise_px, direction, rotation, base,
-                    waiting.empty() ? ms : waiting[waiting.size() / 2], ms);
+        std::printf(
+            "%6zu %6zu %-12s %-2s %5.2f %5d %5d %6.1f %6.2f %6.2f %6.3f %6.2f %6.2f | %6.2f %6.2f %6.3f | %6.2f "
+            "%6.2f\n",
+            offset, used, name(r.status),
+            r.model == godwit::vo::InitModel::kHomography    ? "H"
+            : r.model == godwit::vo::InitModel::kFundamental ? "F"
+                                                             : "-",
+            r.ratio_homography, r.tracks, r.points, r.median_disparity_px, r.parallax_px, r.median_parallax_deg,
+            r.depth_uncertainty, r.ambiguity, r.noise_px, direction, rotation, base,
+            waiting.empty() ? ms : waiting[waiting.size() / 2], ms);
         if (done) {
           all_frames.push_back(static_cast<double>(used));
           if (std::isfinite(direction)) {
@@ -243,8 +274,8 @@ int main(int argc, char** argv) {
     if (v.empty()) return;
     std::sort(v.begin(), v.end());
     const auto at = [&](double q) { return v[static_cast<std::size_t>(q * static_cast<double>(v.size() - 1))]; };
-    std::printf("%-24s n %4zu  median %7.3f  p90 %7.3f  p95 %7.3f  max %7.3f\n", what, v.size(), at(0.5), at(0.9), at(0.95),
-                v.back());
+    std::printf("%-24s n %4zu  median %7.3f  p90 %7.3f  p95 %7.3f  max %7.3f\n", what, v.size(), at(0.5), at(0.9),
+                at(0.95), v.back());
   };
   std::printf("%zu starts, direction wrong by more than 20 deg: %d\n", offsets.size(), wrong);
   line("frames to the map", all_frames);

@@ -37,8 +37,8 @@ struct PointNormalisation {
   }
 };
 
-/// x with A x = 0, |x| = 1, for a system of rank 8, by Gauss-Jordan elimination with full pivoting. Destroys A. False if
-/// the rank is lower (degenerate sample).
+/// x with A x = 0, |x| = 1, for a system of rank 8, by Gauss-Jordan elimination with full pivoting. Destroys A. False
+/// if the rank is lower (degenerate sample).
 inline bool null_vector(Eigen::Matrix<double, 8, 9>* A, Eigen::Matrix<double, 9, 1>* x) {
   Eigen::Matrix<double, 8, 9>& a = *A;
   std::array<int, 9> column{0, 1, 2, 3, 4, 5, 6, 7, 8};

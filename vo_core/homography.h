@@ -12,8 +12,8 @@ namespace godwit::vo {
 /// Multiple View Geometry, algorithm 4.2). False if they are degenerate. No allocation.
 bool homography_from_points(std::span<const Vec2> a, std::span<const Vec2> b, std::span<const int> index, Mat3* H);
 
-/// A motion and the plane n . p = 1 (first camera's frame, n / |n| its normal, 1 / |n| its distance; the translation has
-/// that distance as its unit) that a homography stands for: H ~ R + t n^T with |n| = 1.
+/// A motion and the plane n . p = 1 (first camera's frame, n / |n| its normal, 1 / |n| its distance; the translation
+/// has that distance as its unit) that a homography stands for: H ~ R + t n^T with |n| = 1.
 struct PlaneMotion {
   SE3 T_b_a;
   Vec3 normal;

@@ -250,9 +250,9 @@ struct Initializer::Impl {
       const auto track = static_cast<std::size_t>(track_of[p]);
       const double depth = scale / state.inverse_depth[p];
       const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
-      points[static_cast<std::size_t>(point_count++)] = {
-          tracker.tracks()[track].px_ref, tracker.tracks()[track].px, features[track].level, depth * ray,
-          depth_sigma[p] * depth * ray.norm()};
+      points[static_cast<std::size_t>(point_count++)] = {tracker.tracks()[track].px_ref, tracker.tracks()[track].px,
+                                                         features[track].level, depth * ray,
+                                                         depth_sigma[p] * depth * ray.norm()};
     }
   }
 
@@ -363,7 +363,9 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
   return report;
 }
 
-const SE3& Initializer::T_cur_ref() const { return impl_->T_cur_ref; }
+const SE3& Initializer::T_cur_ref() const {
+  return impl_->T_cur_ref;
+}
 std::span<const InitPoint> Initializer::points() const {
   return {impl_->points.data(), static_cast<std::size_t>(impl_->point_count)};
 }

@@ -16,18 +16,18 @@
 namespace godwit::vo {
 
 struct InitializerOptions {
-  int features = 400;                  ///< tracks started in the first frame
-  int min_tracks = 80;                 ///< fewer left: start again from the present frame
-  double min_disparity_px = 2.0;       ///< median motion of the tracks below which nothing is tried
-  double min_parallax_px = 0.6;        ///< median distance of the tracks from the best pure rotation, to be tried
-  double min_parallax_deg = 0.3;       ///< median angle between the rays of the triangulated points
-  int min_points = 60;                 ///< accepted points of the first map
-  double max_depth_uncertainty = 0.1;  ///< median of depth_sigma / depth above which the map is refused
-  double max_ambiguity = 0.9;          ///< robust cost of the best motion over that of a different one, at most
-  double homography_ratio = 0.4;       ///< R_H above this picks the homography (the paper, equation for R_H)
+  int features = 400;                   ///< tracks started in the first frame
+  int min_tracks = 80;                  ///< fewer left: start again from the present frame
+  double min_disparity_px = 2.0;        ///< median motion of the tracks below which nothing is tried
+  double min_parallax_px = 0.6;         ///< median distance of the tracks from the best pure rotation, to be tried
+  double min_parallax_deg = 1.0;        ///< median angle between the rays of the triangulated points
+  int min_points = 60;                  ///< accepted points of the first map
+  double max_depth_uncertainty = 0.03;  ///< median of depth_sigma / depth above which the map is refused
+  double max_ambiguity = 0.88;          ///< robust cost of the best motion over that of a different one, at most
+  double homography_ratio = 0.4;        ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
-  double sigma_px = 1.0;               ///< measurement noise in the transfer error's outlier cut
-  double min_noise_px = 0.15;          ///< the tracks are never believed to be better than this
+  double sigma_px = 1.0;       ///< measurement noise in the transfer error's outlier cut
+  double min_noise_px = 0.15;  ///< the tracks are never believed to be better than this
 };
 
 enum class InitStatus : std::uint8_t {
@@ -43,11 +43,11 @@ enum class InitStatus : std::uint8_t {
 
 /// One point of the first map.
 struct InitPoint {
-  Vec2f px_ref;      ///< in the first view, level-0 px
-  Vec2f px_cur;      ///< in the present view, level-0 px, sub-pixel
-  std::int8_t level; ///< pyramid level of the feature in the first view
-  Vec3 p_ref;        ///< position in the first view's camera frame, units of the chosen scale
-  double depth_sigma; ///< one sigma of the depth along the first view's ray, same units
+  Vec2f px_ref;        ///< in the first view, level-0 px
+  Vec2f px_cur;        ///< in the present view, level-0 px, sub-pixel
+  std::int8_t level;   ///< pyramid level of the feature in the first view
+  Vec3 p_ref;          ///< position in the first view's camera frame, units of the chosen scale
+  double depth_sigma;  ///< one sigma of the depth along the first view's ray, same units
 };
 
 struct InitReport {
@@ -61,8 +61,8 @@ struct InitReport {
   double parallax_px = 0;        ///< median distance of the tracks from the best pure rotation
   double ratio_homography = 0;   ///< R_H
   double depth_uncertainty = 0;  ///< median of depth_sigma / depth
-  double ambiguity = 0;          ///< robust cost of the best motion over that of the next different one; 0: there is none
-  double noise_px = 0;           ///< of one coordinate of a track, from the residuals
+  double ambiguity = 0;  ///< robust cost of the best motion over that of the next different one; 0: there is none
+  double noise_px = 0;   ///< of one coordinate of a track, from the residuals
 };
 
 /// All buffers are allocated by the constructor; add_frame does not allocate and is bounded. One thread at a time.

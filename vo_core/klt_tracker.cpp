@@ -41,7 +41,8 @@ template <int W>
 bool sample(const rt::ImageView& image, float x, float y, float* out) {
   const float xf = std::floor(x), yf = std::floor(y);
   // Written so that a NaN is refused too.
-  if (!(xf >= 0.0f && yf >= 0.0f && xf + W < static_cast<float>(image.width) && yf + W < static_cast<float>(image.height)))
+  if (!(xf >= 0.0f && yf >= 0.0f && xf + W < static_cast<float>(image.width) &&
+        yf + W < static_cast<float>(image.height)))
     return false;
   const float ax = x - xf, ay = y - yf;
   const std::uint8_t* row = image.row(static_cast<int>(yf)) + static_cast<int>(xf);
@@ -182,8 +183,8 @@ struct KltTracker::Impl {
       Vec2f p = to_level(px, level);
       const Vec2f before = p;
       // A coarse level that fails teaches nothing; the finer ones start from where it started.
-      if (align(picture.level[static_cast<std::size_t>(level)], t, options.max_iterations, 2 * options.converged_px, &p) !=
-              Outcome::kConverged ||
+      if (align(picture.level[static_cast<std::size_t>(level)], t, options.max_iterations, 2 * options.converged_px,
+                &p) != Outcome::kConverged ||
           (p - before).squaredNorm() > 36.0f)
         continue;
       px = from_level(p, level);
@@ -198,7 +199,9 @@ struct KltTracker::Impl {
   }
 };
 
-KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>()) { impl_->options = options; }
+KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>()) {
+  impl_->options = options;
+}
 KltTracker::~KltTracker() = default;
 
 int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px) {
@@ -214,7 +217,8 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
       auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
       t.valid = false;
       if (level < reference.levels)
-        make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level), m.options.min_eigenvalue, &t);
+        make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level), m.options.min_eigenvalue,
+                      &t);
     }
     alive += track.alive ? 1 : 0;
   }
@@ -236,6 +240,8 @@ std::span<const KltTrack> KltTracker::tracks() const {
   return {impl_->tracks.data(), static_cast<std::size_t>(impl_->count)};
 }
 
-void KltTracker::drop(int index) { impl_->tracks[static_cast<std::size_t>(index)].alive = false; }
+void KltTracker::drop(int index) {
+  impl_->tracks[static_cast<std::size_t>(index)].alive = false;
+}
 
 }  // namespace godwit::vo

@@ -13,11 +13,11 @@
 namespace godwit::vo {
 
 struct KltOptions {
-  int max_iterations = 8;          ///< on each level
-  float converged_px = 0.02f;      ///< step on the finest level below which a track stands; coarser: twice that
-  float min_correlation = 0.85f;   ///< normalised cross-correlation with the reference patch below which a track is lost
-  float min_eigenvalue = 8.0f;     ///< smaller eigenvalue of the finest patch's gradient matrix, per pixel, [grey^2]
-  float max_jump_px = 40.0f;       ///< a longer way between two frames is a mismatch
+  int max_iterations = 8;         ///< on each level
+  float converged_px = 0.02f;     ///< step on the finest level below which a track stands; coarser: twice that
+  float min_correlation = 0.85f;  ///< normalised cross-correlation with the reference patch below which a track is lost
+  float min_eigenvalue = 8.0f;    ///< smaller eigenvalue of the finest patch's gradient matrix, per pixel, [grey^2]
+  float max_jump_px = 40.0f;      ///< a longer way between two frames is a mismatch
 };
 
 /// One followed feature.
@@ -33,9 +33,9 @@ struct KltTrack {
 class KltTracker {
  public:
   static constexpr int kMaxTracks = 512;
-  static constexpr int kLevels = 4;      ///< pyramid levels used, if the picture has them
-  static constexpr int kFinePatch = 16;  ///< edge of the patch on level 0 [px]
-  static constexpr int kCoarsePatch = 8; ///< edge of the patch on the levels above [px]
+  static constexpr int kLevels = 4;       ///< pyramid levels used, if the picture has them
+  static constexpr int kFinePatch = 16;   ///< edge of the patch on level 0 [px]
+  static constexpr int kCoarsePatch = 8;  ///< edge of the patch on the levels above [px]
 
   explicit KltTracker(const KltOptions& options);
   ~KltTracker();

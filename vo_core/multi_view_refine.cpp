@@ -341,7 +341,8 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
     const auto p = static_cast<std::size_t>(i);
     if (use[p] == 0) continue;
     used += 1;
-    for (int r = 0; r < dim; ++r) mean[static_cast<std::size_t>(r)] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
+    for (int r = 0; r < dim; ++r)
+      mean[static_cast<std::size_t>(r)] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
   }
   if (used < 1) return false;
   for (double& v : mean) v /= used;

@@ -1,5 +1,5 @@
-// Bundle adjustment of a reference view, the views after it and the inverse depths of points first seen in the reference
-// view. With a small baseline a single pair of views leaves the depths poor; all views together give them.
+// Bundle adjustment of a reference view, the views after it and the inverse depths of points first seen in the
+// reference view. With a small baseline a single pair of views leaves the depths poor; all views together give them.
 #pragma once
 
 #include <array>
@@ -13,9 +13,9 @@ namespace godwit::vo {
 
 /// One residual and its derivatives. The point lies at ray / inverse_depth in the reference view, ray = (x, y, 1).
 struct InverseDepthResidual {
-  Vec2 r;           ///< prediction - measurement [px]
-  Mat23 J_t, J_w;   ///< by T_view_ref: t + dt, exp(dw) R
-  Vec2 J_rho;       ///< by the inverse depth
+  Vec2 r;          ///< prediction - measurement [px]
+  Mat23 J_t, J_w;  ///< by T_view_ref: t + dt, exp(dw) R
+  Vec2 J_rho;      ///< by the inverse depth
   /// False, and nothing set, if the point does not lie in front of the view. measured: normalised image plane.
   bool evaluate(const SE3& T_view_ref, const Vec2& ray, double inverse_depth, const Vec2& measured, double focal_px);
 };

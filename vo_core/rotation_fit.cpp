@@ -10,7 +10,8 @@ constexpr int kSteps = 4;
 constexpr double kMinWidthPx = 0.5;
 }  // namespace
 
-double fit_rotation(std::span<const Vec2> a, std::span<const Vec2> b, double focal_px, std::span<double> scratch, Mat3* R) {
+double fit_rotation(std::span<const Vec2> a, std::span<const Vec2> b, double focal_px, std::span<double> scratch,
+                    Mat3* R) {
   const std::size_t n = std::min({a.size(), b.size(), scratch.size()});
   if (n == 0) return 0;
   const auto median_residual = [&] {

@@ -17,6 +17,8 @@ constexpr double kCutFundamental = 3.84;
 constexpr double kGamma = 5.99;
 /// |t| / plane distance below which a homography counts as a rotation.
 constexpr double kMinTranslation = 1e-4;
+/// Fits to all inliers of a sample's model that leads.
+constexpr int kRefits = 3;
 
 /// SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
 struct Random {
@@ -48,11 +50,11 @@ bool triangulate_inverse_depth(const SE3& T_b_a, const Vec2& a, const Vec2& b, d
 struct TwoViewGeometry::Impl {
   TwoViewOptions options;
   std::array<float, kMaxPoints> ax, ay, bx, by;
-  std::array<float, kMaxPoints> rho;
+  std::array<float, kMaxPoints> gain;
   std::array<int, kMaxPoints> index, inliers_h, inliers_f;
   int n = 0;
 
-  /// Symmetric transfer score of H; the contributions stay in rho (0: outlier).
+  /// Symmetric transfer score of H; the contributions stay in gain (0: outlier).
   double score_homography(const Mat3& H) {
     const Mat3 Hi = H.inverse();
     if (!Hi.allFinite()) return 0;
@@ -68,7 +70,7 @@ struct TwoViewGeometry::Impl {
     for (int i = 0; i < n; ++i) {
       const auto k = static_cast<std::size_t>(i);
       const float e1 = error(h, ax[k], ay[k], bx[k], by[k]), e2 = error(g, bx[k], by[k], ax[k], ay[k]);
-      rho[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
+      gain[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
     }
     return total();
   }
@@ -88,21 +90,47 @@ struct TwoViewGeometry::Impl {
     for (int i = 0; i < n; ++i) {
       const auto k = static_cast<std::size_t>(i);
       const float e1 = error(f, ax[k], ay[k], bx[k], by[k]), e2 = error(g, bx[k], by[k], ax[k], ay[k]);
-      rho[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
+      gain[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
     }
     return total();
   }
 
+  /// Fits to all inliers, and again to the inliers of that, while it helps: a minimal sample's model carries the noise
+  /// of few points (locally optimised RANSAC; Chum, Matas, Kittler, DAGM 2003).
+  void refit_homography(std::span<const Vec2> a, std::span<const Vec2> b, Mat3* H, double* score) {
+    Mat3 model;
+    for (int round = 0; round < kRefits; ++round) {
+      score_homography(*H);
+      if (!homography_from_points(a, b, collect(&inliers_h), &model)) return;
+      const double s = score_homography(model);
+      if (!(s > *score)) return;
+      *score = s;
+      *H = model;
+    }
+  }
+
+  void refit_fundamental(std::span<const Vec2> a, std::span<const Vec2> b, Mat3* F, double* score) {
+    Mat3 model;
+    for (int round = 0; round < kRefits; ++round) {
+      score_fundamental(*F);
+      if (!fundamental_from_points(a, b, collect(&inliers_f), &model)) return;
+      const double s = score_fundamental(model);
+      if (!(s > *score)) return;
+      *score = s;
+      *F = model;
+    }
+  }
+
   double total() const {
     double s = 0;
-    for (int i = 0; i < n; ++i) s += static_cast<double>(rho[static_cast<std::size_t>(i)]);
+    for (int i = 0; i < n; ++i) s += static_cast<double>(gain[static_cast<std::size_t>(i)]);
     return s;
   }
 
   std::span<const int> collect(std::array<int, kMaxPoints>* out) const {
     std::size_t count = 0;
     for (int i = 0; i < n; ++i)
-      if (rho[static_cast<std::size_t>(i)] > 0.0f) (*out)[count++] = i;
+      if (gain[static_cast<std::size_t>(i)] > 0.0f) (*out)[count++] = i;
     return {out->data(), count};
   }
 
@@ -156,37 +184,17 @@ TwoViewResult TwoViewGeometry::estimate(std::span<const Vec2> a, std::span<const
     }
     Mat3 model;
     if (homography_from_points(a, b, {m.index.data(), 4}, &model)) {
-      if (const double s = m.score_homography(model); s > result.score_homography) {
-        result.score_homography = s;
+      if (const double score = m.score_homography(model); score > result.score_homography) {
+        result.score_homography = score;
         best_h = model;
+        m.refit_homography(a, b, &best_h, &result.score_homography);
       }
     }
     if (fundamental_from_points(a, b, {m.index.data(), 8}, &model)) {
-      if (const double s = m.score_fundamental(model); s > result.score_fundamental) {
-        result.score_fundamental = s;
+      if (const double score = m.score_fundamental(model); score > result.score_fundamental) {
+        result.score_fundamental = score;
         best_f = model;
-      }
-    }
-  }
-  // Fit to all inliers twice (the inliers of a minimal sample's model are biased by its noise).
-  for (int round = 0; round < 2; ++round) {
-    Mat3 model;
-    if (result.score_homography > 0) {
-      m.score_homography(best_h);
-      if (homography_from_points(a, b, m.collect(&m.inliers_h), &model)) {
-        if (const double s = m.score_homography(model); s > result.score_homography) {
-          result.score_homography = s;
-          best_h = model;
-        }
-      }
-    }
-    if (result.score_fundamental > 0) {
-      m.score_fundamental(best_f);
-      if (fundamental_from_points(a, b, m.collect(&m.inliers_f), &model)) {
-        if (const double s = m.score_fundamental(model); s > result.score_fundamental) {
-          result.score_fundamental = s;
-          best_f = model;
-        }
+        m.refit_fundamental(a, b, &best_f, &result.score_fundamental);
       }
     }
   }

@@ -21,9 +21,9 @@ struct TwoViewOptions {
 
 /// A motion with the structure it implies.
 struct TwoViewCandidate {
-  SE3 T_b_a;        ///< |t| = 1
+  SE3 T_b_a;  ///< |t| = 1
   InitModel model = InitModel::kNone;
-  int in_front = 0; ///< inliers of the model that lie in front of both cameras
+  int in_front = 0;  ///< inliers of the model that lie in front of both cameras
 };
 
 struct TwoViewResult {

@@ -1,0 +1,133 @@
+#include "vo_core/multi_view_refine.h"
+
+#include <algorithm>
+#include <gtest/gtest.h>
+
+#include "tests/vo_core/scene_points.h"
+#include "vo_core/rotation_fit.h"
+
+namespace godwit::vo {
+namespace {
+
+using namespace testing;  // NOLINT: the scenes of this folder's tests
+constexpr double kFocal = 500.0;
+
+TEST(InverseDepthResidual, JacobiansAgreeWithNumericOnes) {
+  const SE3 T(so3_exp(Vec3(0.1, -0.2, 0.05)), Vec3(0.3, -0.2, 0.1));
+  const Vec2 ray(0.3, -0.25), measured(0.2, -0.1);
+  const double rho = 0.4, h = 1e-6;
+  InverseDepthResidual e, plus, minus;
+  ASSERT_TRUE(e.evaluate(T, ray, rho, measured, kFocal));
+  for (int i = 0; i < 3; ++i) {
+    Vec3 d = Vec3::Zero();
+    d(i) = h;
+    ASSERT_TRUE(plus.evaluate({T.R, T.t + d}, ray, rho, measured, kFocal));
+    ASSERT_TRUE(minus.evaluate({T.R, T.t - d}, ray, rho, measured, kFocal));
+    EXPECT_LT(((plus.r - minus.r) / (2 * h) - e.J_t.col(i)).norm(), 1e-5);
+    ASSERT_TRUE(plus.evaluate({so3_exp(d) * T.R, T.t}, ray, rho, measured, kFocal));
+    ASSERT_TRUE(minus.evaluate({so3_exp(-d) * T.R, T.t}, ray, rho, measured, kFocal));
+    EXPECT_LT(((plus.r - minus.r) / (2 * h) - e.J_w.col(i)).norm(), 1e-5);
+  }
+  ASSERT_TRUE(plus.evaluate(T, ray, rho + h, measured, kFocal));
+  ASSERT_TRUE(minus.evaluate(T, ray, rho - h, measured, kFocal));
+  EXPECT_LT(((plus.r - minus.r) / (2 * h) - e.J_rho).norm(), 1e-5);
+}
+
+TEST(InverseDepthResidual, PointBehindTheViewIsRefused) {
+  InverseDepthResidual e;
+  EXPECT_FALSE(e.evaluate({Mat3::Identity(), Vec3(0, 0, -3)}, Vec2(0, 0), 0.5, Vec2(0, 0), kFocal));
+}
+
+struct Problem {
+  static constexpr int kViews = 8;
+  std::vector<Vec3> points;
+  std::vector<SE3> T;  // truth, last distance 1
+  MultiViewState state;
+
+  /// Sideways motion of a twentieth of the depth in eight steps; outliers in the last view only.
+  Problem(MultiViewRefiner* refiner, double noise_px, double outliers, unsigned seed) {
+    std::mt19937 random(seed);
+    points = make_points(Scene::kGeneral, 200, &random);
+    const SE3 end(so3_exp(Vec3(0.02, -0.03, 0.01)), Vec3(0.15, 0.02, 0.01));
+    refiner->begin(observe(points, {}, 0, &random), kFocal, 0.05);
+    for (int k = 1; k <= kViews; ++k) {
+      const double f = static_cast<double>(k) / kViews;
+      const SE3 truth(so3_exp(f * so3_log(end.R)), f * end.t);
+      auto xy = observe(points, truth, noise_px / kFocal, &random);
+      if (k == kViews) spoil(outliers, &xy, &random);
+      refiner->add_view(xy);
+      T.push_back({truth.R, truth.t / end.t.norm()});
+      // Wrong by a good deal: the rotation by 0.3 degrees, the direction by 10.
+      state.T_view_ref[static_cast<std::size_t>(k - 1)] = {so3_exp(Vec3(0.003, -0.003, 0.003)) * truth.R,
+                                                           so3_exp(Vec3(0.1, 0.1, 0.1)) * T.back().t};
+    }
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      points[i] /= end.t.norm();
+      state.inverse_depth[i] = 1.0 / (3.0 / end.t.norm());  // all at one depth
+    }
+  }
+};
+
+TEST(MultiViewRefine, FindsTheTruthWithoutNoise) {
+  MultiViewRefiner refiner;
+  Problem p(&refiner, 0.0, 0.0, 5);
+  for (int i = 0; i < 4; ++i) refiner.refine(10, &p.state);
+  EXPECT_LT(direction_error_deg(p.state.T_view_ref[7], p.T[7]), 1e-3);
+  for (std::size_t k = 0; k < 8; ++k) {
+    EXPECT_LT(rotation_error_deg(p.state.T_view_ref[k], p.T[k]), 1e-4);
+    EXPECT_LT((p.state.T_view_ref[k].t - p.T[k].t).norm(), 1e-4);
+  }
+  for (std::size_t i = 0; i < p.points.size(); ++i) EXPECT_NEAR(p.state.inverse_depth[i] * p.points[i].z(), 1.0, 1e-4);
+}
+
+TEST(MultiViewRefine, StandsOutliersInOneView) {
+  MultiViewRefiner refiner;
+  Problem p(&refiner, 0.2, 0.3, 6);
+  for (int i = 0; i < 4; ++i) refiner.refine(10, &p.state);
+  EXPECT_LT(direction_error_deg(p.state.T_view_ref[7], p.T[7]), 2.0);
+  EXPECT_LT(rotation_error_deg(p.state.T_view_ref[7], p.T[7]), 0.1);
+}
+
+// The reported uncertainty must be what the errors show: over many trials (error / sigma)^2 is 1 on average, the common
+// scale taken out.
+TEST(MultiViewRefine, DepthSigmaIsHonest) {
+  double sum = 0;
+  int count = 0;
+  for (unsigned seed = 1; seed <= 20; ++seed) {
+    MultiViewRefiner refiner;
+    Problem p(&refiner, 0.3, 0.0, seed);
+    for (int i = 0; i < 4; ++i) refiner.refine(10, &p.state);
+    const double noise = refiner.sigma(p.state);
+    EXPECT_NEAR(noise, 0.3, 0.05);
+    const std::vector<std::uint8_t> use(p.points.size(), 1);
+    std::vector<double> sigma(p.points.size());
+    ASSERT_TRUE(refiner.relative_depth_sigma(p.state, noise, use, sigma));
+    double mean = 0;
+    std::vector<double> error;
+    for (std::size_t i = 0; i < p.points.size(); ++i) {
+      error.push_back(std::log(p.state.inverse_depth[i] * p.points[i].z()));
+      mean += error.back() / static_cast<double>(p.points.size());
+    }
+    for (std::size_t i = 0; i < error.size(); ++i) {
+      sum += (error[i] - mean) * (error[i] - mean) / (sigma[i] * sigma[i]);
+      ++count;
+    }
+  }
+  EXPECT_GT(sum / count, 0.7);
+  EXPECT_LT(sum / count, 1.4);
+}
+
+TEST(FitRotation, LeavesNothingOverUnderPureRotationAndParallaxOtherwise) {
+  std::mt19937 random(8);
+  const auto points = make_points(Scene::kGeneral, 200, &random);
+  const SE3 turn(so3_exp(Vec3(0.1, -0.15, 0.2)), Vec3::Zero()), move(turn.R, Vec3(0.2, 0, 0));
+  const auto a = observe(points, {}, 0, &random);
+  std::vector<double> scratch(a.size());
+  Mat3 R = Mat3::Identity();
+  EXPECT_LT(fit_rotation(a, observe(points, turn, 0, &random), kFocal, scratch, &R), 1e-6);
+  EXPECT_LT((R - turn.R).norm(), 1e-9);
+  EXPECT_GT(fit_rotation(a, observe(points, move, 0, &random), kFocal, scratch, &R), 3.0);
+}
+
+}  // namespace
+}  // namespace godwit::vo
