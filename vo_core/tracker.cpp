@@ -252,6 +252,11 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
       result->reason_value = result->init.inliers;
       result->reason_limit = options_.initializer.min_points;
       break;
+    case InitStatus::kAmbiguous:
+      result->reason = "two motions explain the tracks alike [0.01]";
+      result->reason_value = static_cast<int>(100.0 * result->init.ambiguity);
+      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_ambiguity);
+      break;
     case InitStatus::kDone:
       break;
   }
