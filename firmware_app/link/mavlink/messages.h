@@ -1,0 +1,455 @@
+// The MAVLink messages godwit sends or takes: fields in wire order (by size, largest first, then as defined; extension
+// fields behind), named as in MAVLink's common.xml. A test compares each with pymavlink, bit for bit.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+namespace godwit::link::mavlink {
+
+struct Heartbeat {
+  static constexpr std::uint32_t kId = 0;
+  static constexpr std::uint8_t kCrcExtra = 50;
+  static constexpr std::size_t kLength = 9;
+  static constexpr const char* kName = "HEARTBEAT";
+  static constexpr std::uint8_t kModeArmed = 128;
+  std::uint32_t custom_mode = 0;
+  std::uint8_t type = 0;
+  std::uint8_t autopilot = 0;
+  std::uint8_t base_mode = 0;
+  std::uint8_t system_status = 0;
+  std::uint8_t mavlink_version = 3;
+  static void visit(auto& v, auto& s) {
+    v.field("custom_mode", s.custom_mode);
+    v.field("type", s.type);
+    v.field("autopilot", s.autopilot);
+    v.field("base_mode", s.base_mode);
+    v.field("system_status", s.system_status);
+    v.field("mavlink_version", s.mavlink_version);
+  }
+};
+
+struct ParamRequestRead {
+  static constexpr std::uint32_t kId = 20;
+  static constexpr std::uint8_t kCrcExtra = 214;
+  static constexpr std::size_t kLength = 20;
+  static constexpr const char* kName = "PARAM_REQUEST_READ";
+  std::int16_t param_index = -1;
+  std::uint8_t target_system = 0;
+  std::uint8_t target_component = 0;
+  std::array<char, 16> param_id{};
+  static void visit(auto& v, auto& s) {
+    v.field("param_index", s.param_index);
+    v.field("target_system", s.target_system);
+    v.field("target_component", s.target_component);
+    v.field("param_id", s.param_id);
+  }
+};
+
+struct ParamValue {
+  static constexpr std::uint32_t kId = 22;
+  static constexpr std::uint8_t kCrcExtra = 220;
+  static constexpr std::size_t kLength = 25;
+  static constexpr const char* kName = "PARAM_VALUE";
+  float param_value = 0;
+  std::uint16_t param_count = 0;
+  std::uint16_t param_index = 0;
+  std::array<char, 16> param_id{};
+  std::uint8_t param_type = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("param_value", s.param_value);
+    v.field("param_count", s.param_count);
+    v.field("param_index", s.param_index);
+    v.field("param_id", s.param_id);
+    v.field("param_type", s.param_type);
+  }
+};
+
+struct RawImu {
+  static constexpr std::uint32_t kId = 27;
+  static constexpr std::uint8_t kCrcExtra = 144;
+  static constexpr std::size_t kLength = 29;
+  static constexpr const char* kName = "RAW_IMU";
+  std::uint64_t time_usec = 0;
+  std::int16_t xacc = 0, yacc = 0, zacc = 0;     ///< [mG]
+  std::int16_t xgyro = 0, ygyro = 0, zgyro = 0;  ///< [mrad/s]
+  std::int16_t xmag = 0, ymag = 0, zmag = 0;     ///< [mgauss]
+  std::uint8_t id = 0;
+  std::int16_t temperature = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_usec", s.time_usec);
+    v.field("xacc", s.xacc);
+    v.field("yacc", s.yacc);
+    v.field("zacc", s.zacc);
+    v.field("xgyro", s.xgyro);
+    v.field("ygyro", s.ygyro);
+    v.field("zgyro", s.zgyro);
+    v.field("xmag", s.xmag);
+    v.field("ymag", s.ymag);
+    v.field("zmag", s.zmag);
+    v.field("id", s.id);
+    v.field("temperature", s.temperature);
+  }
+};
+
+struct AttitudeQuaternion {
+  static constexpr std::uint32_t kId = 31;
+  static constexpr std::uint8_t kCrcExtra = 246;
+  static constexpr std::size_t kLength = 48;
+  static constexpr const char* kName = "ATTITUDE_QUATERNION";
+  std::uint32_t time_boot_ms = 0;
+  float q1 = 0, q2 = 0, q3 = 0, q4 = 0;  ///< w x y z, body FRD to NED
+  float rollspeed = 0, pitchspeed = 0, yawspeed = 0;
+  std::array<float, 4> repr_offset_q{};
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("q1", s.q1);
+    v.field("q2", s.q2);
+    v.field("q3", s.q3);
+    v.field("q4", s.q4);
+    v.field("rollspeed", s.rollspeed);
+    v.field("pitchspeed", s.pitchspeed);
+    v.field("yawspeed", s.yawspeed);
+    v.field("repr_offset_q", s.repr_offset_q);
+  }
+};
+
+struct LocalPositionNed {
+  static constexpr std::uint32_t kId = 32;
+  static constexpr std::uint8_t kCrcExtra = 185;
+  static constexpr std::size_t kLength = 28;
+  static constexpr const char* kName = "LOCAL_POSITION_NED";
+  std::uint32_t time_boot_ms = 0;
+  float x = 0, y = 0, z = 0, vx = 0, vy = 0, vz = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("x", s.x);
+    v.field("y", s.y);
+    v.field("z", s.z);
+    v.field("vx", s.vx);
+    v.field("vy", s.vy);
+    v.field("vz", s.vz);
+  }
+};
+
+struct GlobalPositionInt {
+  static constexpr std::uint32_t kId = 33;
+  static constexpr std::uint8_t kCrcExtra = 104;
+  static constexpr std::size_t kLength = 28;
+  static constexpr const char* kName = "GLOBAL_POSITION_INT";
+  std::uint32_t time_boot_ms = 0;
+  std::int32_t lat = 0, lon = 0;           ///< [1e-7 degree]
+  std::int32_t alt = 0, relative_alt = 0;  ///< [mm]
+  std::int16_t vx = 0, vy = 0, vz = 0;     ///< [cm/s]
+  std::uint16_t hdg = 0;                   ///< [0.01 degree]
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("lat", s.lat);
+    v.field("lon", s.lon);
+    v.field("alt", s.alt);
+    v.field("relative_alt", s.relative_alt);
+    v.field("vx", s.vx);
+    v.field("vy", s.vy);
+    v.field("vz", s.vz);
+    v.field("hdg", s.hdg);
+  }
+};
+
+struct SetGpsGlobalOrigin {
+  static constexpr std::uint32_t kId = 48;
+  static constexpr std::uint8_t kCrcExtra = 41;
+  static constexpr std::size_t kLength = 21;
+  static constexpr const char* kName = "SET_GPS_GLOBAL_ORIGIN";
+  std::int32_t latitude = 0, longitude = 0;  ///< [1e-7 degree]
+  std::int32_t altitude = 0;                 ///< [mm]
+  std::uint8_t target_system = 0;
+  std::uint64_t time_usec = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("latitude", s.latitude);
+    v.field("longitude", s.longitude);
+    v.field("altitude", s.altitude);
+    v.field("target_system", s.target_system);
+    v.field("time_usec", s.time_usec);
+  }
+};
+
+struct GpsGlobalOrigin {
+  static constexpr std::uint32_t kId = 49;
+  static constexpr std::uint8_t kCrcExtra = 39;
+  static constexpr std::size_t kLength = 20;
+  static constexpr const char* kName = "GPS_GLOBAL_ORIGIN";
+  std::int32_t latitude = 0, longitude = 0, altitude = 0;
+  std::uint64_t time_usec = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("latitude", s.latitude);
+    v.field("longitude", s.longitude);
+    v.field("altitude", s.altitude);
+    v.field("time_usec", s.time_usec);
+  }
+};
+
+struct CommandLong {
+  static constexpr std::uint32_t kId = 76;
+  static constexpr std::uint8_t kCrcExtra = 152;
+  static constexpr std::size_t kLength = 33;
+  static constexpr const char* kName = "COMMAND_LONG";
+  static constexpr std::uint16_t kSetMessageInterval = 511;
+  float param1 = 0, param2 = 0, param3 = 0, param4 = 0, param5 = 0, param6 = 0, param7 = 0;
+  std::uint16_t command = 0;
+  std::uint8_t target_system = 0, target_component = 0, confirmation = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("param1", s.param1);
+    v.field("param2", s.param2);
+    v.field("param3", s.param3);
+    v.field("param4", s.param4);
+    v.field("param5", s.param5);
+    v.field("param6", s.param6);
+    v.field("param7", s.param7);
+    v.field("command", s.command);
+    v.field("target_system", s.target_system);
+    v.field("target_component", s.target_component);
+    v.field("confirmation", s.confirmation);
+  }
+};
+
+struct CommandAck {
+  static constexpr std::uint32_t kId = 77;
+  static constexpr std::uint8_t kCrcExtra = 143;
+  static constexpr std::size_t kLength = 10;
+  static constexpr const char* kName = "COMMAND_ACK";
+  std::uint16_t command = 0;
+  std::uint8_t result = 0;
+  std::uint8_t progress = 0;
+  std::int32_t result_param2 = 0;
+  std::uint8_t target_system = 0, target_component = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("command", s.command);
+    v.field("result", s.result);
+    v.field("progress", s.progress);
+    v.field("result_param2", s.result_param2);
+    v.field("target_system", s.target_system);
+    v.field("target_component", s.target_component);
+  }
+};
+
+struct VisionPositionEstimate {
+  static constexpr std::uint32_t kId = 102;
+  static constexpr std::uint8_t kCrcExtra = 158;
+  static constexpr std::size_t kLength = 117;
+  static constexpr const char* kName = "VISION_POSITION_ESTIMATE";
+  std::uint64_t usec = 0;
+  float x = 0, y = 0, z = 0, roll = 0, pitch = 0, yaw = 0;
+  std::array<float, 21> covariance{};
+  std::uint8_t reset_counter = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("usec", s.usec);
+    v.field("x", s.x);
+    v.field("y", s.y);
+    v.field("z", s.z);
+    v.field("roll", s.roll);
+    v.field("pitch", s.pitch);
+    v.field("yaw", s.yaw);
+    v.field("covariance", s.covariance);
+    v.field("reset_counter", s.reset_counter);
+  }
+};
+
+struct VisionSpeedEstimate {
+  static constexpr std::uint32_t kId = 103;
+  static constexpr std::uint8_t kCrcExtra = 208;
+  static constexpr std::size_t kLength = 57;
+  static constexpr const char* kName = "VISION_SPEED_ESTIMATE";
+  std::uint64_t usec = 0;
+  float x = 0, y = 0, z = 0;
+  std::array<float, 9> covariance{};
+  std::uint8_t reset_counter = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("usec", s.usec);
+    v.field("x", s.x);
+    v.field("y", s.y);
+    v.field("z", s.z);
+    v.field("covariance", s.covariance);
+    v.field("reset_counter", s.reset_counter);
+  }
+};
+
+struct HighresImu {
+  static constexpr std::uint32_t kId = 105;
+  static constexpr std::uint8_t kCrcExtra = 93;
+  static constexpr std::size_t kLength = 63;
+  static constexpr const char* kName = "HIGHRES_IMU";
+  std::uint64_t time_usec = 0;
+  float xacc = 0, yacc = 0, zacc = 0;     ///< [m/s^2]
+  float xgyro = 0, ygyro = 0, zgyro = 0;  ///< [rad/s]
+  float xmag = 0, ymag = 0, zmag = 0;     ///< [gauss]
+  float abs_pressure = 0, diff_pressure = 0, pressure_alt = 0, temperature = 0;
+  std::uint16_t fields_updated = 0;
+  std::uint8_t id = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_usec", s.time_usec);
+    v.field("xacc", s.xacc);
+    v.field("yacc", s.yacc);
+    v.field("zacc", s.zacc);
+    v.field("xgyro", s.xgyro);
+    v.field("ygyro", s.ygyro);
+    v.field("zgyro", s.zgyro);
+    v.field("xmag", s.xmag);
+    v.field("ymag", s.ymag);
+    v.field("zmag", s.zmag);
+    v.field("abs_pressure", s.abs_pressure);
+    v.field("diff_pressure", s.diff_pressure);
+    v.field("pressure_alt", s.pressure_alt);
+    v.field("temperature", s.temperature);
+    v.field("fields_updated", s.fields_updated);
+    v.field("id", s.id);
+  }
+};
+
+struct Timesync {
+  static constexpr std::uint32_t kId = 111;
+  static constexpr std::uint8_t kCrcExtra = 34;
+  static constexpr std::size_t kLength = 18;
+  static constexpr const char* kName = "TIMESYNC";
+  std::int64_t tc1 = 0;                                  ///< 0 in a question, the answerer's time [ns] in an answer
+  std::int64_t ts1 = 0;                                  ///< the asker's time [ns]
+  std::uint8_t target_system = 0, target_component = 0;  ///< newer than some autopilots: left 0, which leaves them out
+  static void visit(auto& v, auto& s) {
+    v.field("tc1", s.tc1);
+    v.field("ts1", s.ts1);
+    v.field("target_system", s.target_system);
+    v.field("target_component", s.target_component);
+  }
+};
+
+struct ScaledImu2 {
+  static constexpr std::uint32_t kId = 116;
+  static constexpr std::uint8_t kCrcExtra = 76;
+  static constexpr std::size_t kLength = 24;
+  static constexpr const char* kName = "SCALED_IMU2";
+  std::uint32_t time_boot_ms = 0;
+  std::int16_t xacc = 0, yacc = 0, zacc = 0, xgyro = 0, ygyro = 0, zgyro = 0, xmag = 0, ymag = 0, zmag = 0;
+  std::int16_t temperature = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("xacc", s.xacc);
+    v.field("yacc", s.yacc);
+    v.field("zacc", s.zacc);
+    v.field("xgyro", s.xgyro);
+    v.field("ygyro", s.ygyro);
+    v.field("zgyro", s.zgyro);
+    v.field("xmag", s.xmag);
+    v.field("ymag", s.ymag);
+    v.field("zmag", s.zmag);
+    v.field("temperature", s.temperature);
+  }
+};
+
+struct DistanceSensor {
+  static constexpr std::uint32_t kId = 132;
+  static constexpr std::uint8_t kCrcExtra = 85;
+  static constexpr std::size_t kLength = 39;
+  static constexpr const char* kName = "DISTANCE_SENSOR";
+  std::uint32_t time_boot_ms = 0;
+  std::uint16_t min_distance = 0, max_distance = 0, current_distance = 0;  ///< [cm]
+  std::uint8_t type = 0, id = 0, orientation = 0, covariance = 0;
+  float horizontal_fov = 0, vertical_fov = 0;
+  std::array<float, 4> quaternion{};
+  std::uint8_t signal_quality = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("min_distance", s.min_distance);
+    v.field("max_distance", s.max_distance);
+    v.field("current_distance", s.current_distance);
+    v.field("type", s.type);
+    v.field("id", s.id);
+    v.field("orientation", s.orientation);
+    v.field("covariance", s.covariance);
+    v.field("horizontal_fov", s.horizontal_fov);
+    v.field("vertical_fov", s.vertical_fov);
+    v.field("quaternion", s.quaternion);
+    v.field("signal_quality", s.signal_quality);
+  }
+};
+
+struct StatusText {
+  static constexpr std::uint32_t kId = 253;
+  static constexpr std::uint8_t kCrcExtra = 83;
+  static constexpr std::size_t kLength = 54;
+  static constexpr const char* kName = "STATUSTEXT";
+  enum Severity : std::uint8_t { kError = 3, kWarning = 4, kNotice = 5, kInfo = 6 };
+  std::uint8_t severity = 0;
+  std::array<char, 50> text{};
+  std::uint16_t id = 0;
+  std::uint8_t chunk_seq = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("severity", s.severity);
+    v.field("text", s.text);
+    v.field("id", s.id);
+    v.field("chunk_seq", s.chunk_seq);
+  }
+};
+
+struct Odometry {
+  static constexpr std::uint32_t kId = 331;
+  static constexpr std::uint8_t kCrcExtra = 91;
+  static constexpr std::size_t kLength = 233;
+  static constexpr const char* kName = "ODOMETRY";
+  std::uint64_t time_usec = 0;
+  float x = 0, y = 0, z = 0;
+  std::array<float, 4> q{1, 0, 0, 0};  ///< w x y z
+  float vx = 0, vy = 0, vz = 0;
+  float rollspeed = 0, pitchspeed = 0, yawspeed = 0;
+  std::array<float, 21> pose_covariance{};  ///< upper triangle by rows: x y z roll pitch yaw
+  std::array<float, 21> velocity_covariance{};
+  std::uint8_t frame_id = 0, child_frame_id = 0;
+  std::uint8_t reset_counter = 0;
+  std::uint8_t estimator_type = 0;
+  std::int8_t quality = 0;
+  static void visit(auto& v, auto& s) {
+    v.field("time_usec", s.time_usec);
+    v.field("x", s.x);
+    v.field("y", s.y);
+    v.field("z", s.z);
+    v.field("q", s.q);
+    v.field("vx", s.vx);
+    v.field("vy", s.vy);
+    v.field("vz", s.vz);
+    v.field("rollspeed", s.rollspeed);
+    v.field("pitchspeed", s.pitchspeed);
+    v.field("yawspeed", s.yawspeed);
+    v.field("pose_covariance", s.pose_covariance);
+    v.field("velocity_covariance", s.velocity_covariance);
+    v.field("frame_id", s.frame_id);
+    v.field("child_frame_id", s.child_frame_id);
+    v.field("reset_counter", s.reset_counter);
+    v.field("estimator_type", s.estimator_type);
+    v.field("quality", s.quality);
+  }
+};
+
+/// Calls f.template operator()<Message>() for every message above.
+template <typename F>
+void for_each_message(F&& f) {
+  f.template operator()<Heartbeat>();
+  f.template operator()<ParamRequestRead>();
+  f.template operator()<ParamValue>();
+  f.template operator()<RawImu>();
+  f.template operator()<AttitudeQuaternion>();
+  f.template operator()<LocalPositionNed>();
+  f.template operator()<GlobalPositionInt>();
+  f.template operator()<SetGpsGlobalOrigin>();
+  f.template operator()<GpsGlobalOrigin>();
+  f.template operator()<CommandLong>();
+  f.template operator()<CommandAck>();
+  f.template operator()<VisionPositionEstimate>();
+  f.template operator()<VisionSpeedEstimate>();
+  f.template operator()<HighresImu>();
+  f.template operator()<Timesync>();
+  f.template operator()<ScaledImu2>();
+  f.template operator()<DistanceSensor>();
+  f.template operator()<StatusText>();
+  f.template operator()<Odometry>();
+}
+
+}  // namespace godwit::link::mavlink
