@@ -1,0 +1,29 @@
+// `godwit replay`: a recorded sequence through the pipeline, a pose for every frame out.
+#pragma once
+
+#include <CLI/App.hpp>
+#include <atomic>
+#include <cstdint>
+#include <string>
+
+namespace godwit::app {
+
+struct ReplayArguments {
+  std::string sequence;
+  std::string config_file;  ///< empty: defaults
+  std::string out = "out";
+  std::string pace = "max";
+  bool sequential = false;
+  std::int64_t start = 0;
+  std::int64_t frames = 0;  ///< 0: all
+  std::string detector = "off", gate = "off", imu = "off";
+  std::string model;
+};
+
+/// Describes the command to the parser; *arguments outlives it.
+void add_replay_command(CLI::App* app, ReplayArguments* arguments);
+
+/// Runs it; ends early when *stop becomes true. Returns an ExitCode.
+int run_replay(const ReplayArguments& arguments, const std::atomic<bool>& stop);
+
+}  // namespace godwit::app

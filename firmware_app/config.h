@@ -1,0 +1,32 @@
+// The configuration: one TOML file into one struct that nobody changes afterwards.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace godwit::app {
+
+/// Every key of config/godwit.toml with its default. Keys and ranges: config.cpp.
+struct Config {
+  struct Pipeline {
+    int frame_slots = 0;          ///< 0: as many as the odometry needs
+    int mapper_delay_frames = 2;  ///< --sequential: results of the mapper arrive so many frames later
+  } pipeline;
+};
+
+/// A configuration, or everything that is wrong with it.
+struct ConfigReport {
+  Config config;                      ///< valid if mistakes is empty
+  std::vector<std::string> mistakes;  ///< each names file, line, key and what is allowed
+  bool ok() const { return mistakes.empty(); }
+};
+
+/// Pure function over text; collects all mistakes (unknown keys, wrong types, out of range) instead of stopping at the
+/// first.
+ConfigReport parse_config(std::string_view toml, const std::string& name);
+
+/// The same from a file; a file that cannot be read is a mistake.
+ConfigReport load_config(const std::string& file);
+
+}  // namespace godwit::app

@@ -1,0 +1,54 @@
+// The tool `godwit`: the daemon's pipeline from files.
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <exception>
+
+#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/commands/replay_command.h"
+
+namespace {
+
+// Written by the signal handler, read by the pipeline; lock-free, as a handler needs it.
+std::atomic<bool> stop{false};
+static_assert(std::atomic<bool>::is_always_lock_free);
+
+void on_signal(int /*signal*/) {
+  stop.store(true, std::memory_order_relaxed);
+}
+
+int run(int argc, char** argv) {
+  using namespace godwit::app;
+  CLI::App app("Visual navigation without satellites: a camera frame in, a pose out.", "godwit");
+  app.set_version_flag("--version", "godwit " GODWIT_VERSION);
+  app.require_subcommand(1);
+  app.footer(
+      "Exit codes: 0 done; 1 failed on the way (output cannot be written); 2 did not start (command line,\n"
+      "configuration, calibration or sequence is wrong); 130 interrupted.");
+  ReplayArguments replay;
+  add_replay_command(&app, &replay);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? kExitDone : kExitRefused;
+  }
+  return run_replay(replay, stop);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  // A file-size limit shall fail the write, which is told, not kill the process.
+  std::signal(SIGXFSZ, SIG_IGN);
+  try {
+    return run(argc, argv);
+  } catch (const std::exception& e) {  // std::bad_alloc, or a library that throws where it should not
+    std::fprintf(stderr, "godwit: %s\n", e.what());
+    return godwit::app::kExitFailed;
+  }
+}

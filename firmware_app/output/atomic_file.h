@@ -1,0 +1,37 @@
+// A file that exists whole or not at all.
+#pragma once
+
+#include <cstdio>
+#include <string>
+#include <string_view>
+
+#include "hal/rt/result.h"
+
+namespace godwit::app {
+
+/// Writes to NAME.part and renames to NAME in commit(). Whatever goes wrong before (full disk, no right to write, the
+/// process killed) leaves no NAME. The destructor removes an uncommitted NAME.part. One thread.
+class AtomicFile {
+ public:
+  AtomicFile() = default;
+  ~AtomicFile();
+  AtomicFile(const AtomicFile&) = delete;
+  AtomicFile& operator=(const AtomicFile&) = delete;
+
+  /// Error of each: the file and the reason. After an error the file is closed and nothing of it is left.
+  rt::Result<void> open(const std::string& file);
+  rt::Result<void> write(std::string_view text);
+  /// Flushes to the disk and gives the file its name.
+  rt::Result<void> commit();
+
+  const std::string& file() const { return file_; }
+
+ private:
+  std::string part() const { return file_ + ".part"; }
+  rt::Error fail(const char* doing);
+
+  std::string file_;
+  std::FILE* out_ = nullptr;
+};
+
+}  // namespace godwit::app

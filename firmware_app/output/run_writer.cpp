@@ -1,0 +1,201 @@
+#include "firmware_app/output/run_writer.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <fmt/format.h>
+#include <iterator>
+#include <system_error>
+
+#include "firmware_app/pipeline/threaded_pipeline.h"
+
+namespace godwit::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Seconds with 9 decimals, exact.
+void append_time(rt::TimeNs t_ns, std::string* out) {
+  fmt::format_to(std::back_inserter(*out), "{}.{:09}", t_ns / rt::kNsPerSecond, t_ns % rt::kNsPerSecond);
+}
+
+void append_pose(const FrameRecord& r, char separator, std::string* out) {
+  for (const double v : r.t_world_cam) fmt::format_to(std::back_inserter(*out), "{}{}", separator, v);
+  for (const double v : r.q_world_cam) fmt::format_to(std::back_inserter(*out), "{}{}", separator, v);
+}
+
+/// A CSV field in quotes where it needs them (RFC 4180).
+std::string csv_field(std::string_view text) {
+  if (text.find_first_of(",\"\n\r") == std::string_view::npos) return std::string(text);
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"') out += '"';
+    out += (c == '\n' || c == '\r') ? ' ' : c;
+  }
+  return out + '"';
+}
+
+std::string json_string(std::string_view text) {
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') out += '\\';
+    if (static_cast<unsigned char>(c) < 0x20) {
+      out += fmt::format("\\u{:04x}", static_cast<unsigned>(c));
+    } else {
+      out += c;
+    }
+  }
+  return out + '"';
+}
+
+std::string json_statistics(const Statistics& s) {
+  return fmt::format(R"({{"median": {:.4f}, "p95": {:.4f}, "p99": {:.4f}, "max": {:.4f}, "mean": {:.4f}}})", s.median,
+                     s.p95, s.p99, s.max, s.mean);
+}
+
+std::string frames_header() {
+  std::string h = "t,ms,thread_cpu_ms,proc_cpu_ms,tracked,map_id,state,features,fate,keyframe,map_moved,age_ms";
+  for (const char* stage : kStageNames) h += std::string(",") + stage + "_ms";
+  return h + ",reason\n";
+}
+
+std::string poses_header() {
+  std::string h = "t,state,tracked,map_id,tx,ty,tz,qx,qy,qz,qw";
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) h += fmt::format(",c{}{}", row, column);
+  }
+  return h + "\n";
+}
+
+}  // namespace
+
+rt::Result<void> RunWriter::open(const std::string& folder, bool with_age) {
+  with_age_ = with_age;
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) return rt::Error{folder + ": cannot be created: " + error.message()};
+  const fs::path root(folder);
+  const std::pair<AtomicFile*, const char*> files[] = {
+      {&trajectory_, "trajectory.tum"}, {&frames_, "frames.csv"}, {&poses_, "pose.csv"}, {&summary_, "summary.json"}};
+  for (const auto& [file, name] : files) {
+    auto opened = file->open(root / name);
+    if (!opened) return opened;
+  }
+  // Results of an earlier run must not pass for this one's if it fails half-way.
+  for (const auto& [file, name] : files) {
+    fs::remove(root / name, error);
+    if (error) return rt::Error{(root / name).string() + ": cannot be removed: " + error.message()};
+  }
+  auto written = trajectory_.write("# t tx ty tz qx qy qz qw map_id (camera to world)\n");
+  if (written.ok()) written = frames_.write(frames_header());
+  if (written.ok()) written = poses_.write(poses_header());
+  return written;
+}
+
+rt::Result<void> RunWriter::take(const FrameRecord& r) {
+  const bool processed = r.fate == FrameFate::kProcessed;
+  if (processed) state_ = r.state;
+  if (first_t_ns_ < 0) first_t_ns_ = r.t_source_ns;
+  const double ms = rt::to_ms(r.wall_ns);
+  const double thread_cpu_ms = rt::to_ms(r.thread_cpu_ns);
+  const double proc_cpu_ms = rt::to_ms(r.thread_cpu_ns + r.mapper_cpu_ns);
+  if (r.tracked) {
+    if (first_pose_frames_ < 0) {
+      first_pose_frames_ = static_cast<std::int64_t>(counters_.due);
+      first_pose_t_ns_ = r.t_source_ns;
+    }
+    ++tracked_;
+    maps_ = std::max(maps_, r.map_id);
+    ms_.push_back(ms);
+    thread_cpu_ms_.push_back(thread_cpu_ms);
+    proc_cpu_ms_.push_back(proc_cpu_ms);
+  }
+  count(r, &counters_);
+  if (!processed && bad_reasons_.size() < kReasonsKept) bad_reasons_.emplace_back(r.reason.view());
+
+  line_.clear();
+  append_time(r.t_source_ns, &line_);
+  fmt::format_to(std::back_inserter(line_), ",{:.4f},{:.4f},{:.4f},{},", ms, thread_cpu_ms, proc_cpu_ms,
+                 r.tracked ? 1 : 0);
+  if (r.tracked) fmt::format_to(std::back_inserter(line_), "{}", r.map_id);
+  fmt::format_to(std::back_inserter(line_), ",{},{},{},{},{},", state_, r.features, fate_name(r.fate),
+                 r.is_keyframe ? 1 : 0, r.map_moved ? 1 : 0);
+  if (processed && with_age_) {
+    fmt::format_to(std::back_inserter(line_), "{:.4f}", rt::to_ms(r.t_done_ns - r.t_capture_ns));
+  }
+  for (const rt::TimeNs ns : r.stage_ns) fmt::format_to(std::back_inserter(line_), ",{:.4f}", rt::to_ms(ns));
+  line_ += ",";
+  line_ += csv_field(r.reason.view());
+  line_ += "\n";
+  auto written = frames_.write(line_);
+
+  if (written.ok() && r.tracked) {
+    line_.clear();
+    append_time(r.t_source_ns, &line_);
+    append_pose(r, ' ', &line_);
+    fmt::format_to(std::back_inserter(line_), " {}\n", r.map_id);
+    written = trajectory_.write(line_);
+  }
+  if (written.ok() && r.has_pose) {
+    line_.clear();
+    append_time(r.t_source_ns, &line_);
+    fmt::format_to(std::back_inserter(line_), ",{},{},{}", r.state, r.tracked ? 1 : 0, r.map_id);
+    append_pose(r, ',', &line_);
+    for (const double v : r.covariance) fmt::format_to(std::back_inserter(line_), ",{}", v);
+    line_ += "\n";
+    written = poses_.write(line_);
+  }
+  return written;
+}
+
+RunSummary RunWriter::summary() const {
+  RunSummary s;
+  s.counters = counters_;
+  s.tracked = tracked_;
+  s.maps = maps_;
+  s.first_pose_frames = first_pose_frames_;
+  if (counters_.due > 0) s.tracked_share = static_cast<double>(tracked_) / static_cast<double>(counters_.due);
+  if (first_pose_frames_ >= 0) {
+    const double rest = static_cast<double>(counters_.due) - static_cast<double>(first_pose_frames_);
+    s.tracked_share_after_first = static_cast<double>(tracked_) / rest;
+    s.first_pose_ms = rt::to_ms(first_pose_t_ns_ - first_t_ns_);
+  }
+  s.ms = statistics_of(ms_);
+  s.thread_cpu_ms = statistics_of(thread_cpu_ms_);
+  s.proc_cpu_ms = statistics_of(proc_cpu_ms_);
+  return s;
+}
+
+rt::Result<void> RunWriter::finish(const RunDescription& d) {
+  const RunSummary s = summary();
+  const bool found = s.first_pose_frames >= 0;
+  const std::string null = "null";
+  std::string j = "{\n";
+  const auto line = [&](const char* key, const std::string& value) { j += fmt::format("  \"{}\": {},\n", key, value); };
+  line("version", json_string(d.version));
+  line("sequence", json_string(d.sequence));
+  line("mode", json_string(d.mode));
+  line("pace", json_string(d.pace));
+  line("start", std::to_string(d.start));
+  line("frames", std::to_string(s.counters.due));
+  line("processed", std::to_string(s.counters.processed));
+  line("bad_pictures", std::to_string(s.counters.bad));
+  line("dropped_no_slot", std::to_string(s.counters.dropped_slots));
+  line("dropped_late", std::to_string(s.counters.dropped_late));
+  line("tracked", std::to_string(s.tracked));
+  line("tracked_share", fmt::format("{:.6f}", s.tracked_share));
+  line("tracked_share_after_first_pose", found ? fmt::format("{:.6f}", s.tracked_share_after_first) : null);
+  line("maps", std::to_string(s.maps));
+  line("first_pose_after_frames", found ? std::to_string(s.first_pose_frames) : null);
+  line("first_pose_after_ms", found ? fmt::format("{:.3f}", s.first_pose_ms) : null);
+  line("ms", json_statistics(s.ms));
+  line("thread_cpu_ms", json_statistics(s.thread_cpu_ms));
+  line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
+  j += fmt::format("  \"peak_memory_mb\": {:.1f}\n}}\n", peak_memory_mb());
+  auto written = summary_.write(j);
+  for (AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
+    if (written.ok()) written = file->commit();
+  }
+  return written;
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,72 @@
+// What is known of one frame when it is done: what the pipeline hands to files, logs and links.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <string_view>
+
+#include "hal/rt/time.h"
+
+namespace godwit::app {
+
+/// What became of a picture that was due.
+enum class FrameFate : std::uint8_t {
+  kProcessed,     ///< went through the tracker
+  kBadPicture,    ///< missing, unreadable, of the wrong size, or with a time that repeats or goes back
+  kDroppedSlots,  ///< no frame slot was free
+  kDroppedLate    ///< a newer picture had already come when the tracker got to it
+};
+constexpr const char* fate_name(FrameFate fate) {
+  constexpr const char* kNames[] = {"processed", "bad", "dropped_slots", "dropped_late"};
+  return kNames[static_cast<std::size_t>(fate)];
+}
+
+/// Stages whose time is kept, in the order of the columns.
+constexpr std::array<const char*, 8> kStageNames = {"pyramid",   "apply", "initialise", "align",
+                                                    "reproject", "pose",  "keyframe",   "map"};
+constexpr std::size_t kStages = kStageNames.size();
+constexpr std::size_t kMapStage = 7;
+
+/// A fixed piece of text that may travel through rings.
+struct ShortText {
+  std::array<char, 200> text{};
+
+  void assign(std::string_view s) {
+    const std::size_t n = s.size() < text.size() - 1 ? s.size() : text.size() - 1;
+    for (std::size_t i = 0; i < n; ++i) text[i] = s[i];
+    text[n] = '\0';
+  }
+  /// "what: value of limit", as a measured reason is told; without a limit "what" alone. No allocation.
+  void assign_measured(const char* what, int value, int limit) {
+    std::snprintf(text.data(), text.size(), limit != 0 ? "%s: %d of %d" : "%s", what, value, limit);
+  }
+  std::string_view view() const { return text.data(); }
+};
+
+/// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
+struct FrameRecord {
+  std::uint32_t sequence = 0;
+  FrameFate fate = FrameFate::kProcessed;
+  bool tracked = false;   ///< at least 30 image measurements updated the pose
+  bool has_pose = false;  ///< a pose was given out: tracked or coasted
+  bool is_keyframe = false;
+  bool map_moved = false;     ///< a bundle adjustment moved the map before this frame
+  std::uint32_t map_id = 0;   ///< counts from 1; 0: no map
+  std::int32_t features = 0;  ///< image measurements behind the pose
+  rt::TimeNs t_source_ns = 0;
+  rt::TimeNs t_capture_ns = 0;
+  rt::TimeNs t_done_ns = 0;      ///< CLOCK_MONOTONIC when the pose stood
+  rt::TimeNs wall_ns = 0;        ///< the tracking call, pyramid included
+  rt::TimeNs thread_cpu_ns = 0;  ///< processor time of the tracking call
+  rt::TimeNs mapper_cpu_ns = 0;  ///< processor time of the mapping since the last frame
+  std::array<rt::TimeNs, kStages> stage_ns{};
+  const char* state = "";  ///< static text; set for processed frames
+  std::array<double, 3> t_world_cam{};
+  std::array<double, 4> q_world_cam{};  ///< x y z w
+  std::array<double, 21> covariance{};  ///< upper triangle by rows: translation, then rotation vector
+  ShortText reason;                     ///< why the state is what it is, or why the picture was not flown
+};
+
+}  // namespace godwit::app

@@ -1,0 +1,119 @@
+#include "firmware_app/pipeline/odometry_stage.h"
+
+#include <array>
+
+#include "vo_core/mapper.h"
+#include "vo_core/pyramid.h"
+#include "vo_core/tracker.h"
+
+namespace godwit::app {
+namespace {
+
+template <typename Item, std::size_t kItems>
+constexpr int item_count(const vo::ExchangeRing<Item, kItems>*) {
+  return static_cast<int>(kItems);
+}
+/// Messages that fit between tracker and mapper.
+constexpr int kMessages = item_count(static_cast<decltype(vo::MapChannel::messages)*>(nullptr));
+
+class OdometryStage final : public FrameStage {
+ public:
+  OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool)
+      : camera_(camera),
+        pool_(pool),
+        tracker_return_(pool->reader(kTrackerReader)),
+        mapper_return_(pool->reader(kMapperReader)),
+        channel_(std::make_unique<vo::MapChannel>()),
+        tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options), channel_.get())),
+        mapper_(std::make_unique<vo::Mapper>(camera_, vo::MapperOptions{}, channel_.get())) {}
+
+  void track(const rt::FrameHandle& frame, FrameRecord* record) override {
+    vo::FrameInput input;
+    input.grey = pool_->grey(frame.slot);
+    input.pyramid_storage = pool_->pyramid_storage(frame.slot);
+    input.pyramid_bytes = pool_->pyramid_bytes();
+    input.slot = frame.slot;
+    input.sequence = frame.meta.sequence;
+    input.t_capture_ns = frame.meta.t_capture_ns;
+    const vo::FrameResult result = tracker_->track(input);
+    fill(result, record);
+    vo::SlotRelease release;
+    while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
+  }
+
+  int mapper_backlog() const override { return kMessages - static_cast<int>(channel_->messages.free_items()); }
+
+  bool map_step() override {
+    const bool worked = mapper_->step();
+    vo::SlotRelease release;
+    while (mapper_->take_release(&release)) mapper_return_.give_back(release.slot, release.count);
+    return worked;
+  }
+
+ private:
+  static vo::TrackerOptions tracker_options(const OdometryOptions& options) {
+    vo::TrackerOptions out;
+    out.delta_delay_frames = options.mapper_delay_frames;
+    out.clock = &rt::monotonic_now_ns;
+    return out;
+  }
+
+  static void fill(const vo::FrameResult& result, FrameRecord* record) {
+    record->fate = FrameFate::kProcessed;
+    record->tracked = result.tracked;
+    record->has_pose = result.tracked || result.state == vo::State::kCoasting;
+    record->is_keyframe = result.is_keyframe;
+    record->map_moved = result.map_moved;
+    record->map_id = result.map_id;
+    record->features = result.measurements;
+    record->state = vo::state_name(result.state);
+    const vo::StageTimes& t = result.times;
+    record->stage_ns = {t.pyramid, t.apply, t.initialise, t.align, t.reproject, t.pose, t.keyframe, 0};
+    if (result.reason[0] != '\0')
+      record->reason.assign_measured(result.reason, result.reason_value, result.reason_limit);
+    if (!record->has_pose) return;
+    const Eigen::Quaterniond q = result.T_world_cam.quaternion();
+    record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
+    std::size_t k = 0;
+    for (int row = 0; row < 6; ++row) {
+      if (row < 3) record->t_world_cam[static_cast<std::size_t>(row)] = result.T_world_cam.t[row];
+      for (int column = row; column < 6; ++column) record->covariance[k++] = result.covariance(row, column);
+    }
+  }
+
+  const vo::CameraModel camera_;
+  rt::FramePool* pool_;
+  rt::FrameReturn tracker_return_, mapper_return_;
+  std::unique_ptr<vo::MapChannel> channel_;
+  std::unique_ptr<vo::Tracker> tracker_;
+  std::unique_ptr<vo::Mapper> mapper_;
+};
+
+}  // namespace
+
+rt::Result<vo::CameraModel> make_camera_model(const hal::CameraCalibration& c) {
+  if (c.distortion_model == hal::CameraCalibration::Distortion::kKannalaBrandt4) {
+    return vo::CameraModel::kannala_brandt(c.width, c.height, c.fx, c.fy, c.cx, c.cy,
+                                           {c.distortion[0], c.distortion[1], c.distortion[2], c.distortion[3]});
+  }
+  return vo::CameraModel::pinhole_radtan(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion);
+}
+
+std::size_t odometry_pyramid_bytes(int width, int height) {
+  return vo::pyramid_bytes(width, height, rt::kPyramidLevels);
+}
+
+int odometry_frame_slots() {
+  // Tracker and mapper keep the keyframes of the map, the tracker some more until it hears what the mapper has
+  // forgotten; on top come the messages under way, the first view, the last frame, the one in work and the one being
+  // read.
+  constexpr int kForgettingUnderWay = 4;
+  return vo::MapperOptions{}.max_keyframes + kForgettingUnderWay + kMessages + 4;
+}
+
+std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
+                                                rt::FramePool* pool) {
+  return std::make_unique<OdometryStage>(camera, options, pool);
+}
+
+}  // namespace godwit::app

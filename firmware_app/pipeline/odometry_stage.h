@@ -1,0 +1,32 @@
+// The odometry as a stage of the pipeline: the only place where the application touches vo::Tracker and vo::Mapper.
+#pragma once
+
+#include <memory>
+
+#include "firmware_app/pipeline/stage.h"
+#include "hal/camera/calibration.h"
+#include "hal/rt/result.h"
+#include "vo_core/camera_model.h"
+
+namespace godwit::app {
+
+struct OdometryOptions {
+  /// Sequential runs: results of the mapper are applied so many frames after the frame that caused them. 0: when they
+  /// are there, for threads.
+  int mapper_delay_frames = 0;
+};
+
+/// The odometry's camera model from a calibration file's numbers. Error: absurd numbers.
+rt::Result<vo::CameraModel> make_camera_model(const hal::CameraCalibration& calibration);
+
+/// Bytes of pyramid storage that the odometry needs in each frame slot.
+std::size_t odometry_pyramid_bytes(int width, int height);
+
+/// Frame slots that the odometry may hold on to: keyframes, and frames under way between tracker and mapper.
+int odometry_frame_slots();
+
+/// All memory is taken here. The pool outlives the stage.
+std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
+                                                rt::FramePool* pool);
+
+}  // namespace godwit::app

@@ -1,0 +1,30 @@
+// What the pipeline runs on each frame, seen from the threads that run it.
+#pragma once
+
+#include "firmware_app/pipeline/frame_record.h"
+#include "hal/rt/frame_pool.h"
+
+namespace godwit::app {
+
+/// Frame slots have two references when they reach the stage: the tracker's and the mapper's. The stage gives both back
+/// through the readers below, each from its own thread.
+constexpr int kTrackerReader = 0;
+constexpr int kMapperReader = 1;
+constexpr int kFrameReaders = 2;
+
+/// Tracker and mapper. Two threads may call it, each its own half, or one thread both.
+class FrameStage {
+ public:
+  virtual ~FrameStage() = default;
+
+  /// Tracker thread. Estimates the frame's pose and fills everything of the record but sequence, times of the frame and
+  /// mapper_cpu_ns. No allocation, no lock, bounded. Takes over both references.
+  virtual void track(const rt::FrameHandle& frame, FrameRecord* record) = 0;
+  /// Tracker thread. Work sent to the mapper and not done yet, in messages.
+  virtual int mapper_backlog() const = 0;
+
+  /// Mapper thread. Works on one message; false: there was nothing to do. Bounded.
+  virtual bool map_step() = 0;
+};
+
+}  // namespace godwit::app
