@@ -1,0 +1,36 @@
+// One interface to every inertial sensor: replay, MPU-6000 over spidev, IIO, simulation.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "hal/rt/time.h"
+
+namespace godwit::hal {
+
+/// One reading in the sensor's frame, which is the body frame: x forward, y right, z down (FRD) unless a recording says
+/// otherwise. Trivially copyable: it travels through rings.
+struct ImuSample {
+  rt::TimeNs t_ns = 0;                 ///< when it was measured, CLOCK_MONOTONIC (replay, simulation: rebased)
+  std::array<double, 3> gyro_rad_s{};  ///< angular rate
+  std::array<double, 3> accel_m_s2{};  ///< specific force: a sensor at rest and level reads (0, 0, -9.81) in FRD
+};
+
+/// What became of one call of Imu::next.
+enum class ImuStatus : std::uint8_t {
+  kSample,   ///< a sample was delivered
+  kTimeout,  ///< nothing came in time
+  kFault,    ///< the device answered, but with nonsense, or did not answer; the next call may succeed
+  kEnd       ///< the source is at its end
+};
+
+/// A source of samples in the order of their times. One thread calls it. No allocation in next.
+class Imu {
+ public:
+  virtual ~Imu() = default;
+  virtual double rate_hz() const = 0;
+  /// Writes the next sample. Waits at most timeout_ns.
+  virtual ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) = 0;
+};
+
+}  // namespace godwit::hal

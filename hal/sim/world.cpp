@@ -1,0 +1,182 @@
+#include "hal/sim/world.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "hal/sim/layout.h"
+
+namespace godwit::sim {
+namespace {
+constexpr double kRad = std::numbers::pi / 180.0;
+constexpr double kNightAmbient = 0.05;
+constexpr int kLightCells = 512;  // the slowly varying part of the light on the ground is worked out on this grid
+
+double wrapped(double d) {
+  return d - kWorldM * std::round(d / kWorldM);
+}
+}  // namespace
+
+World::World(const WorldPlan& plan, std::uint64_t seed)
+    : plan_(plan), seed_(seed), terrain_(plan.kind == WorldKind::kCorridor ? 0.0 : plan.relief_m, mix(seed, 0x7e44)) {
+  const double e = plan.sun_elevation_deg * kRad, a = plan.sun_azimuth_deg * kRad;
+  sun_ = Vec3(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
+  Canvas ground(kGroundTexels);
+  Layout(this, &ground).build();
+  light_ground(&ground);
+  textures_ = make_materials(mix(seed, 0x7e87), ground, plan.night);
+  for (const StaticObject& o : objects_) {
+    for (std::uint32_t i = 0; i < o.surfaces; ++i) {
+      Surface& s = mesh_.surfaces[o.first_surface + i];
+      s.light = s.emits ? 1.0f : static_cast<float>(irradiance(s.normal.cast<double>(), s.origin.cast<double>()));
+    }
+  }
+}
+
+double World::lamp_light(double x, double y) const {
+  double sum = kNightAmbient;
+  for (const Vec2& lamp : lamps_) {
+    const double dx = wrapped(x - lamp.x()), dy = wrapped(y - lamp.y()), d2 = (dx * dx + dy * dy) / 36.0;
+    if (d2 < 60) sum += 0.9 / ((1 + d2) * (1 + d2));
+  }
+  return std::min(sum, 1.2);
+}
+
+double World::irradiance(const Vec3& normal, const Vec3& at) const {
+  if (plan_.kind == WorldKind::kCorridor) return 0.85 + 0.15 * normal.z();
+  if (plan_.night) return lamp_light(at.x(), at.y()) * (0.7 + 0.3 * normal.z());
+  const double flat = plan_.ambient + (1 - plan_.ambient) * 1.0;
+  const double direct = std::max(0.0, normal.dot(sun_)) / std::max(0.2, sun_.z());
+  return (plan_.ambient * (0.65 + 0.35 * normal.z()) + (1 - plan_.ambient) * std::min(direct, 2.5)) / flat;
+}
+
+void World::light_ground(Canvas* ground) const {
+  // Grain first: noise of all sizes, stronger where the material is rough; then light over it.
+  for (const int cell : {512, 128, 32}) ground->noise(cell, 0.10, mix(seed_, 0x901), true);
+  for (const int cell : {8, 4, 2, 1}) ground->noise(cell, 0.26, mix(seed_, 0x902), true);
+  if (plan_.kind == WorldKind::kCorridor) return;
+
+  const int n = ground->size();
+  const double texel = kWorldM / n;
+  std::vector<float> grid(static_cast<std::size_t>(kLightCells * kLightCells));
+  const double step = kWorldM / kLightCells;
+  for (int j = 0; j < kLightCells; ++j) {
+    for (int i = 0; i < kLightCells; ++i) {
+      const double x = i * step, y = j * step;
+      const Vec3 normal = terrain_.normal(x, y);
+      grid[static_cast<std::size_t>(j * kLightCells + i)] = static_cast<float>(irradiance(normal, Vec3(x, y, 0)));
+    }
+  }
+  std::vector<std::uint8_t> shadow(static_cast<std::size_t>(n) * static_cast<std::size_t>(n), 0);
+  if (!plan_.night && sun_.z() > 0.02) {
+    const Vec2 cast(-sun_.x() / sun_.z(), -sun_.y() / sun_.z());  // shadow's shift a metre of height
+    for (const Shade& s : shades_) {
+      // A point lies in shadow if some height h in [bottom, top] of the thing stands over p - h * cast.
+      const double longest = std::min(s.top, 60.0 / std::max(0.1, cast.norm()));
+      const double radius = std::max(s.half_along, s.half_across) * 1.5;
+      const Vec2 a = Vec2(s.x, s.y) + s.bottom * cast, b = Vec2(s.x, s.y) + longest * cast;
+      const int x0 = static_cast<int>((std::min(a.x(), b.x()) - radius) / texel) - 1;
+      const int x1 = static_cast<int>((std::max(a.x(), b.x()) + radius) / texel) + 1;
+      const int y0 = static_cast<int>((std::min(a.y(), b.y()) - radius) / texel) - 1;
+      const int y1 = static_cast<int>((std::max(a.y(), b.y()) + radius) / texel) + 1;
+      for (int ty = y0; ty <= y1; ++ty) {
+        for (int tx = x0; tx <= x1; ++tx) {
+          const Vec2 p((tx + 0.5) * texel - s.x, (ty + 0.5) * texel - s.y);
+          bool in = false;
+          if (s.round) {
+            const Vec2 q = p - 0.5 * (s.bottom + longest) * cast;
+            // The shadow of an ellipsoid is stretched along the light.
+            const double stretch = std::hypot(1.0, 0.5 * (s.top - s.bottom) / s.half_along * cast.norm());
+            const Vec2 u = cast.norm() > 1e-9 ? Vec2(cast.normalized()) : Vec2(1, 0);
+            const double along = q.dot(u) / (s.half_along * stretch),
+                         across = (-q.x() * u.y() + q.y() * u.x()) / s.half_along;
+            in = along * along + across * across < 1;
+          } else {
+            double low = s.bottom, high = longest;
+            for (const auto& [axis, half] :
+                 {std::pair{Vec2(s.dx, s.dy), s.half_along}, {Vec2(-s.dy, s.dx), s.half_across}}) {
+              const double at = p.dot(axis), rate = cast.dot(axis);
+              if (std::abs(rate) < 1e-9) {
+                if (std::abs(at) > half) high = -1;
+                continue;
+              }
+              const double h0 = (at - half) / rate, h1 = (at + half) / rate;
+              low = std::max(low, std::min(h0, h1));
+              high = std::min(high, std::max(h0, h1));
+            }
+            in = low <= high;
+          }
+          if (in)
+            shadow[static_cast<std::size_t>(ty & (n - 1)) * static_cast<std::size_t>(n) +
+                   static_cast<std::size_t>(tx & (n - 1))] = 1;
+        }
+      }
+    }
+  }
+  const double dark = plan_.ambient * 0.9;
+  for (int y = 0; y < n; ++y) {
+    const double gy = (y + 0.5) * texel / step;
+    const int j = static_cast<int>(gy);
+    const double v = gy - j;
+    const auto row = [&](int k) { return &grid[static_cast<std::size_t>((k % kLightCells) * kLightCells)]; };
+    const float *r0 = row(j), *r1 = row(j + 1);
+    for (int x = 0; x < n; ++x) {
+      const double gx = (x + 0.5) * texel / step;
+      const int i = static_cast<int>(gx), i1 = (i + 1) % kLightCells;
+      const double u = gx - i;
+      double light = (1 - v) * ((1 - u) * r0[i] + u * r0[i1]) + v * ((1 - u) * r1[i] + u * r1[i1]);
+      if (shadow[static_cast<std::size_t>(y) * static_cast<std::size_t>(n) + static_cast<std::size_t>(x)] != 0)
+        light *= dark;
+      ground->scale(x, y, light);
+    }
+  }
+}
+
+MoverState World::mover_at(int i, double t_s) const {
+  const Mover& m = movers_[static_cast<std::size_t>(i)];
+  MoverState out;
+  Vec2 p = m.start_m, v = Vec2::Zero();
+  double heading = m.heading;
+  if (m.moving) {
+    const double w = m.wander_rad_s, a = w * t_s + m.phase, b = 0.618 * w * t_s + 2.3 * m.phase;
+    p += t_s * m.velocity_m_s + Vec2(m.wander_m.x() * std::sin(a), m.wander_m.y() * std::sin(b));
+    v = m.velocity_m_s + Vec2(m.wander_m.x() * w * std::cos(a), m.wander_m.y() * 0.618 * w * std::cos(b));
+    if (v.norm() > 1e-3) heading = std::atan2(v.y(), v.x());
+  }
+  const double z = terrain_.height(p.x(), p.y());
+  // Longer than a person: lies along the slope between its axles.
+  const Vec2 ahead(std::cos(heading), std::sin(heading));
+  const double base = m.kind == MoverKind::kPerson ? 0.0 : 1.4;
+  double pitch = 0, lift = z, climb = 0;
+  if (base > 0) {
+    const Vec2 f = p + base * ahead, r = p - base * ahead;
+    const double zf = terrain_.height(f.x(), f.y()), zr = terrain_.height(r.x(), r.y());
+    pitch = std::atan2(zf - zr, 2 * base);
+    lift = 0.5 * (zf + zr);
+    climb = v.norm() * (zf - zr) / (2 * base);
+  }
+  out.position_m = Vec3(p.x(), p.y(), lift);
+  out.velocity_m_s = Vec3(v.x(), v.y(), climb);
+  out.R_world_mover =
+      (Eigen::AngleAxisd(heading, Vec3::UnitZ()) * Eigen::AngleAxisd(-pitch, Vec3::UnitY())).toRotationMatrix();
+  // One stride (two steps) is about 1.5 m long; a wanderer keeps the rhythm of its mean speed.
+  const double pace = m.velocity_m_s.norm() + 0.6 * m.wander_m.norm() * m.wander_rad_s;
+  out.stride_phase = m.moving ? m.phase + 2 * std::numbers::pi / 1.5 * pace * t_s : 0.0;
+  return out;
+}
+
+double World::surface_height(double x, double y) const {
+  const double ground = terrain_.height(x, y);
+  double top = ground;
+  for (const Shade& s : shades_) {
+    const double px = wrapped(x - s.x), py = wrapped(y - s.y);
+    const double along = std::abs(px * s.dx + py * s.dy), across = std::abs(-px * s.dy + py * s.dx);
+    const bool in =
+        s.round ? px * px + py * py < s.half_along * s.half_along : along < s.half_along && across < s.half_across;
+    if (in) top = std::max(top, ground + s.top);
+  }
+  return top;
+}
+
+}  // namespace godwit::sim
