@@ -41,7 +41,8 @@ void CandidateGrid::add_corner(int x, int y, int level, int fast_score) {
   slot.corner[static_cast<std::size_t>(position)] = corner;
 }
 
-void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score) {
+void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score,
+                                  float level_weight) {
   candidates_.clear();
   const std::size_t levels = static_cast<std::size_t>(levels_);
   const std::size_t cells = cell_begin_.size() - 1;
@@ -52,14 +53,15 @@ void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_thres
     for (const Slot& slot : slots) {
       if (slot.count > 0) strongest = std::max<int>(strongest, slot.corner[0].fast);
     }
-    for (std::size_t level = 0; level < levels; ++level) {
+    float weight = 1.0f;
+    for (std::size_t level = 0; level < levels; ++level, weight *= level_weight) {
       for (int i = 0; i < slots[level].count; ++i) {
         const Corner& corner = slots[level].corner[static_cast<std::size_t>(i)];
-        if (strongest > fast_threshold && corner.fast <= fast_threshold) break;
+        const bool weak = strongest > fast_threshold && corner.fast <= fast_threshold;
         const float score = shi_tomasi(pyramid.level[level], corner.x, corner.y);
         if (score < min_score) continue;
-        candidates_.push_back({to_level0(corner.x, corner.y, static_cast<int>(level)), score, corner.x, corner.y,
-                               static_cast<std::int8_t>(level), true});
+        candidates_.push_back({to_level0(corner.x, corner.y, static_cast<int>(level)), score, weight * score, corner.x,
+                               corner.y, static_cast<std::int8_t>(level), weak, true});
       }
     }
   }
@@ -67,7 +69,7 @@ void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_thres
 }
 
 template <typename F>
-void CandidateGrid::for_each_near(const Vec2f& px, float radius, F&& f) {
+void CandidateGrid::while_near(const Vec2f& px, float radius, F&& f) {
   const auto cell = [](float v, int count) {
     return std::clamp(static_cast<int>(v / static_cast<float>(kCellPx)), 0, count - 1);
   };
@@ -77,27 +79,35 @@ void CandidateGrid::for_each_near(const Vec2f& px, float radius, F&& f) {
     // The cells of a row lie one behind the other.
     const auto begin = static_cast<std::size_t>(cell_begin_[cell_index(c0, row)]);
     const auto end = static_cast<std::size_t>(cell_begin_[cell_index(c1, row) + 1]);
-    for (std::size_t i = begin; i < end; ++i) f(candidates_[i]);
+    for (std::size_t i = begin; i < end; ++i) {
+      if (!f(candidates_[i])) return;
+    }
   }
 }
 
 void CandidateGrid::keep_local_best() {
   const float reach = min_spacing_px(levels_ - 1, levels_ - 1);
+  // Of equal ranks the one that comes first stays. A candidate does not beat itself.
+  const auto beats = [](const Candidate& a, const Candidate& b) {
+    if (a.weak != b.weak) return b.weak;
+    return a.rank > b.rank || (a.rank == b.rank && &a < &b);
+  };
   for (Candidate& mine : candidates_) {
-    for_each_near(mine.px, reach, [&](const Candidate& other) {
+    while_near(mine.px, reach, [&](const Candidate& other) {
+      if (!beats(other, mine)) return true;
       const float spacing = min_spacing_px(mine.level, other.level);
-      if ((mine.px - other.px).squaredNorm() > spacing * spacing) return;
-      // Of equal scores the one that comes first stays. A candidate does not beat itself.
-      if (other.score > mine.score || (other.score == mine.score && &other < &mine)) mine.alive = false;
+      mine.alive = (mine.px - other.px).squaredNorm() > spacing * spacing;
+      return mine.alive;
     });
   }
 }
 
 void CandidateGrid::remove_near(const Vec2f& px, int level) {
   const float reach = min_spacing_px(std::max(level, levels_ - 1), levels_ - 1);
-  for_each_near(px, reach, [&](Candidate& other) {
+  while_near(px, reach, [&](Candidate& other) {
     const float spacing = min_spacing_px(level, other.level);
     if ((px - other.px).squaredNorm() <= spacing * spacing) other.alive = false;
+    return true;
   });
 }
 

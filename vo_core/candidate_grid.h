@@ -14,10 +14,12 @@ namespace godwit::vo {
 
 /// A feature that may be taken.
 struct Candidate {
-  Vec2f px;  // level-0 pixels
-  float score;
+  Vec2f px;           // level-0 pixels
+  float score;        // Shi-Tomasi
+  float rank;         // what counts where candidates compete: the score, less on coarser levels
   std::int16_t x, y;  // pixels of its level
   std::int8_t level;
+  bool weak;   // below the first FAST threshold although its cell has corners above it
   bool alive;  // not yet ruled out
 };
 
@@ -52,11 +54,12 @@ class CandidateGrid {
   void clear();
   /// A FAST corner at pixel (x, y) of a level. Kept if it is among the strongest of its cell and level.
   void add_corner(int x, int y, int level, int fast_score);
-  /// Turns the corners into candidates with Shi-Tomasi score. In a cell that has corners above fast_threshold the
-  /// weaker ones are dropped; in the others they stand: that lowers the threshold where texture is weak. Candidates
-  /// below min_score are dropped.
-  void score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score);
-  /// Rules out every candidate that has a better one, of any level, within min_spacing_px.
+  /// Turns the corners into candidates with Shi-Tomasi score, and rank = score * level_weight^level. In a cell that has
+  /// corners above fast_threshold the others are marked weak; in a cell without, they are all there is: that lowers the
+  /// threshold where texture is weak. Candidates below min_score are dropped.
+  void score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score, float level_weight);
+  /// Rules out every candidate that has one of higher rank, of any level, within min_spacing_px. A weak
+  /// one never rules out another that is not.
   void keep_local_best();
   /// Rules out the candidates within min_spacing_px of a feature that exists.
   void remove_near(const Vec2f& px, int level);
@@ -77,9 +80,9 @@ class CandidateGrid {
   std::size_t cell_index(int column, int row) const {
     return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
   }
-  /// Calls f(candidate) for those in the cells that a square of +-radius around px touches.
+  /// Calls f(candidate) for those in the cells that a square of +-radius around px touches, until it returns false.
   template <typename F>
-  void for_each_near(const Vec2f& px, float radius, F&& f);
+  void while_near(const Vec2f& px, float radius, F&& f);
 
   int columns_, rows_, levels_;
   std::vector<Slot> slots_;               // [cell][level]

@@ -5,35 +5,46 @@
 
 namespace godwit::vo {
 
+namespace {
+
+/// Eight times the gradient.
+struct Gradient {
+  int x, y;
+  int squared() const { return x * x + y * y; }
+};
+
+inline Gradient sobel(const std::uint8_t* p, std::ptrdiff_t stride) {
+  const std::uint8_t *a = p - stride, *c = p + stride;
+  return {(a[1] - a[-1]) + 2 * (p[1] - p[-1]) + (c[1] - c[-1]), (c[-1] - a[-1]) + 2 * (c[0] - a[0]) + (c[1] - a[1])};
+}
+
+}  // namespace
+
 bool find_edgelet(const rt::ImageView& image, const rt::ImageView& mask, int x_begin, int y_begin, int x_end, int y_end,
                   float min_magnitude, Edgelet* edgelet) {
-  assert(x_begin >= 1 && y_begin >= 1 && x_end < image.width && y_end < image.height);
-  // The Sobel operator sums to eight times the gradient.
-  constexpr float kSobel = 8.0f;
-  int best2 = -1, best_x = 0, best_y = 0, best_gx = 0, best_gy = 0;
+  assert(x_begin >= kEdgeletBorder && y_begin >= kEdgeletBorder);
+  assert(x_end <= image.width - kEdgeletBorder && y_end <= image.height - kEdgeletBorder);
+  Gradient best{0, 0};
+  int best_x = 0, best_y = 0;
   for (int y = y_begin; y < y_end; ++y) {
-    const std::uint8_t* a = image.row(y - 1);
-    const std::uint8_t* b = image.row(y);
-    const std::uint8_t* c = image.row(y + 1);
     for (int x = x_begin; x < x_end; ++x) {
-      const int gx = (a[x + 1] - a[x - 1]) + 2 * (b[x + 1] - b[x - 1]) + (c[x + 1] - c[x - 1]);
-      const int gy = (c[x - 1] - a[x - 1]) + 2 * (c[x] - a[x]) + (c[x + 1] - a[x + 1]);
-      const int magnitude2 = gx * gx + gy * gy;
-      if (magnitude2 <= best2 || (!mask.empty() && mask.at(x, y) != 0)) continue;
-      best2 = magnitude2;
+      const Gradient g = sobel(image.row(y) + x, image.stride);
+      if (g.squared() <= best.squared() || (!mask.empty() && mask.at(x, y) != 0)) continue;
+      best = g;
       best_x = x;
       best_y = y;
-      best_gx = gx;
-      best_gy = gy;
     }
   }
-  if (best2 <= 0) return false;
-  const float magnitude = std::sqrt(static_cast<float>(best2)) / kSobel;
-  if (magnitude < min_magnitude) return false;
-  edgelet->x = best_x;
-  edgelet->y = best_y;
-  edgelet->magnitude = magnitude;
-  edgelet->direction = Vec2f(static_cast<float>(best_gx), static_cast<float>(best_gy)).normalized();
+  const float length = std::sqrt(static_cast<float>(best.squared()));
+  const float magnitude = length / 8.0f;
+  if (best.squared() == 0 || magnitude < min_magnitude) return false;
+  const Vec2f direction = Vec2f(static_cast<float>(best.x), static_cast<float>(best.y)) / length;
+  const int dx = static_cast<int>(std::lround(direction.x())), dy = static_cast<int>(std::lround(direction.y()));
+  for (const int side : {-1, 1}) {
+    const Gradient g = sobel(image.row(best_y + side * dy) + best_x + side * dx, image.stride);
+    if (g.squared() > best.squared()) return false;
+  }
+  *edgelet = {best_x, best_y, magnitude, direction};
   return true;
 }
 

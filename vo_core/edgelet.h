@@ -13,6 +13,9 @@ struct Edgelet {
   Vec2f direction = Vec2f::UnitX();  ///< unit gradient direction, from dark to bright
 };
 
+/// Smallest distance of a pixel from the picture's edge.
+constexpr int kEdgeletBorder = 2;
+
 /// Strongest gradient (Sobel) among the pixels [x_begin, x_end) x [y_begin, y_end) that are not masked (`mask` empty:
 /// none is). False if all are masked or flatter than min_magnitude [grey levels a pixel]. Precondition: the pixels are
 /// at least 1 from the edge. No allocation, any thread.

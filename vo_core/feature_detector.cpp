@@ -47,6 +47,7 @@ struct FeatureDetector::Buffers {
     edgelets.reserve(static_cast<std::size_t>(grid.columns()) * static_cast<std::size_t>(grid.rows()));
     edgelet_levels.reserve(edgelets.capacity());
     cell_taken.resize(edgelets.capacity());
+    edgelet_of_cell.resize(edgelets.capacity());
   }
 
   /// FAST corners of one level into the grid.
@@ -55,6 +56,9 @@ struct FeatureDetector::Buffers {
   void find_edgelets(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, int levels, int border);
   /// Marks the cells that an edgelet too close to a feature could lie in. px must be in the picture.
   void mark_cells(const Vec2f& px);
+  /// An edgelet of the four neighbouring cells that come before this one is too close.
+  bool near_last_edgelets(const Vec2f& px, int column, int row) const;
+  std::size_t cell_index(int column, int row) const { return static_cast<std::size_t>(row * grid.columns() + column); }
 
   int width, height;
   CandidateGrid grid;
@@ -65,6 +69,7 @@ struct FeatureDetector::Buffers {
   std::vector<Edgelet> edgelets;
   std::vector<std::int8_t> edgelet_levels;
   std::vector<std::uint8_t> cell_taken;
+  std::vector<std::int32_t> edgelet_of_cell;  // -1: none
 };
 
 void FeatureDetector::Buffers::find_corners(const rt::ImageView& image, const rt::MaskPyramidView& mask, int level,
@@ -105,19 +110,32 @@ void FeatureDetector::Buffers::mark_cells(const Vec2f& px) {
   const int c1 = cell(px.x() + reach, grid.columns()), r1 = cell(px.y() + reach, grid.rows());
   for (int row = cell(px.y() - reach, grid.rows()); row <= r1; ++row) {
     for (int column = cell(px.x() - reach, grid.columns()); column <= c1; ++column) {
-      cell_taken[static_cast<std::size_t>(row * grid.columns() + column)] = 1;
+      cell_taken[cell_index(column, row)] = 1;
     }
   }
+}
+
+bool FeatureDetector::Buffers::near_last_edgelets(const Vec2f& px, int column, int row) const {
+  constexpr std::array<std::array<int, 2>, 4> kBefore{{{-1, 0}, {-1, -1}, {0, -1}, {1, -1}}};
+  for (const auto& [dx, dy] : kBefore) {
+    if (column + dx < 0 || column + dx >= grid.columns() || row + dy < 0) continue;
+    const std::int32_t other = edgelet_of_cell[cell_index(column + dx, row + dy)];
+    if (other < 0) continue;
+    const Edgelet& e = edgelets[static_cast<std::size_t>(other)];
+    const float spacing = min_spacing_px(0, 0);
+    if ((to_level0(e.x, e.y, edgelet_levels[static_cast<std::size_t>(other)]) - px).norm() < spacing) return true;
+  }
+  return false;
 }
 
 void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                                              int levels, int border) {
   edgelets.clear();
   edgelet_levels.clear();
+  std::fill(edgelet_of_cell.begin(), edgelet_of_cell.end(), -1);
   for (int row = 0; row < grid.rows(); ++row) {
     for (int column = 0; column < grid.columns(); ++column) {
-      if (cell_taken[static_cast<std::size_t>(row * grid.columns() + column)] != 0 ||
-          grid.cell_has_candidate(column, row)) {
+      if (cell_taken[cell_index(column, row)] != 0 || grid.cell_has_candidate(column, row)) {
         continue;
       }
       Edgelet best;
@@ -125,12 +143,8 @@ void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, con
       for (int level = 0; level < levels; ++level) {
         const rt::ImageView& image = pyramid.level[static_cast<std::size_t>(level)];
         const int cell = CandidateGrid::kCellPx >> level;
-        // A margin keeps the edgelets of neighbouring cells apart.
-        const int margin = cell >= 4 ? std::max(1, 2 >> level) : 0;
-        const int x0 = std::max(column * cell + margin, border);
-        const int x1 = std::min((column + 1) * cell - margin, image.width - border);
-        const int y0 = std::max(row * cell + margin, border);
-        const int y1 = std::min((row + 1) * cell - margin, image.height - border);
+        const int x0 = std::max(column * cell, border), x1 = std::min((column + 1) * cell, image.width - border);
+        const int y0 = std::max(row * cell, border), y1 = std::min((row + 1) * cell, image.height - border);
         Edgelet found;
         if (x0 >= x1 || y0 >= y1) continue;
         if (!find_edgelet(image, mask_level(mask, level), x0, y0, x1, y1, kMinEdgeMagnitude, &found)) continue;
@@ -138,7 +152,8 @@ void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, con
         best = found;
         best_level = level;
       }
-      if (best_level < 0) continue;
+      if (best_level < 0 || near_last_edgelets(to_level0(best.x, best.y, best_level), column, row)) continue;
+      edgelet_of_cell[cell_index(column, row)] = static_cast<std::int32_t>(edgelets.size());
       edgelets.push_back(best);
       edgelet_levels.push_back(static_cast<std::int8_t>(best_level));
     }
@@ -172,18 +187,24 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   for (int level = 0; level < levels; ++level) {
     b.find_corners(pyramid.level[static_cast<std::size_t>(level)], mask, level, border, options_.fast_threshold_min);
   }
-  b.grid.score_corners(pyramid, options_.fast_threshold, options_.min_score);
+  b.grid.score_corners(pyramid, options_.fast_threshold, options_.min_score, options_.level_weight);
   b.grid.keep_local_best();
   b.tree.clear();
   for (const Vec2f& px : occupied) {
     if (b.tree.add_occupied(px.x(), px.y())) b.grid.remove_near(px, 0);
   }
   const std::span<const Candidate> candidates = b.grid.candidates();
-  for (std::size_t i = 0; i < candidates.size(); ++i) {
-    const Candidate& c = candidates[i];
-    if (c.alive) b.tree.add_candidate(c.px.x(), c.px.y(), c.score, static_cast<std::int32_t>(i));
+  // Weak corners only if the others do not suffice.
+  int taken = 0;
+  for (const bool weak : {false, true}) {
+    for (std::size_t i = 0; i < candidates.size(); ++i) {
+      const Candidate& c = candidates[i];
+      if (!c.alive || c.weak != weak) continue;
+      b.tree.add_candidate(c.px.x(), c.px.y(), c.rank, static_cast<std::int32_t>(i));
+    }
+    taken = b.tree.select(wanted, b.ids);
+    if (taken == wanted) break;
   }
-  int taken = b.tree.select(wanted, b.ids);
   for (int i = 0; i < taken; ++i) {
     const Candidate& c = candidates[static_cast<std::size_t>(b.ids[static_cast<std::size_t>(i)])];
     out[static_cast<std::size_t>(i)] = {c.px, Vec2f::UnitX(), c.score, c.level, FeatureType::kCorner};

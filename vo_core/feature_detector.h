@@ -15,23 +15,27 @@ enum class FeatureType : std::uint8_t { kCorner, kEdgelet };
 
 /// A feature found in one picture.
 struct Feature {
-  Vec2f px = Vec2f::Zero();        ///< level-0 pixels (centre convention of rt::PyramidView)
-  Vec2f gradient = Vec2f::UnitX(); ///< unit gradient direction, used for edgelets
-  float score = 0.0f;              ///< Shi-Tomasi: smaller eigenvalue, per pixel; edgelets: gradient magnitude
-  std::int8_t level = 0;           ///< pyramid level on which it was found
+  Vec2f px = Vec2f::Zero();         ///< level-0 pixels (centre convention of rt::PyramidView)
+  Vec2f gradient = Vec2f::UnitX();  ///< unit gradient direction, used for edgelets
+  float score = 0.0f;               ///< Shi-Tomasi: smaller eigenvalue, per pixel; edgelets: gradient magnitude
+  std::int8_t level = 0;            ///< pyramid level on which it was found
   FeatureType type = FeatureType::kCorner;
 };
 
 struct FeatureDetectorOptions {
-  int levels = 3;             ///< pyramid levels searched, from 0
-  int fast_threshold = 20;    ///< first FAST threshold [grey levels]
-  int fast_threshold_min = 5; ///< lowest threshold tried where texture is weak
-  int border_px = 8;          ///< no feature closer to the edge, counted on its own level
-  float min_score = 15.0f;    ///< corners with a smaller Shi-Tomasi score are not taken
-  bool edgelets = true;       ///< fill up with edgelets where corners fail
+  int levels = 3;              ///< pyramid levels searched, from 0
+  int fast_threshold = 20;     ///< first FAST threshold [grey levels]
+  int fast_threshold_min = 5;  ///< lowest threshold tried where texture is weak
+  int border_px = 8;           ///< no feature closer to the edge, counted on its own level
+  float min_score = 15.0f;     ///< corners with a smaller Shi-Tomasi score are not taken
+  /// What a score counts a level further up, where corners of different levels compete. With white noise alone 1 would
+  /// be right; but a coarse patch covers more of the scene, which is less likely to be one plane.
+  float level_weight = 0.5f;
+  bool edgelets = true;  ///< fill up with edgelets where corners fail
 };
 
-/// Works in buffers allocated by the constructor for one picture size; detect() does not allocate. One thread at a time.
+/// Works in buffers allocated by the constructor for one picture size; detect() does not allocate. One thread at a
+/// time.
 class FeatureDetector {
  public:
   FeatureDetector(int width, int height, const FeatureDetectorOptions& options);

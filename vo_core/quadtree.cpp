@@ -112,13 +112,16 @@ int Quadtree::select(int wanted, std::span<std::int32_t> ids) {
   for (const Node& leaf : leaves_) {
     if (!leaf.counts()) continue;
     const auto first = entries_.begin() + leaf.begin, last = entries_.begin() + leaf.end;
-    best_.push_back(*std::max_element(first, last, [](const Entry& a, const Entry& b) {
+    const Entry& best = *std::max_element(first, last, [](const Entry& a, const Entry& b) {
       return a.score != b.score ? a.score < b.score : a.id > b.id;
-    }));
+    });
+    best_.push_back({leaf.x1 - leaf.x0, best.score, best.id});
   }
   const std::size_t taken = std::min(best_.size(), static_cast<std::size_t>(wanted));
-  std::sort(best_.begin(), best_.end(),
-            [](const Entry& a, const Entry& b) { return a.score != b.score ? a.score > b.score : a.id < b.id; });
+  std::sort(best_.begin(), best_.end(), [](const Choice& a, const Choice& b) {
+    if (a.leaf_px != b.leaf_px) return a.leaf_px > b.leaf_px;
+    return a.score != b.score ? a.score > b.score : a.id < b.id;
+  });
   for (std::size_t i = 0; i < taken; ++i) ids[i] = best_[i].id;
   return static_cast<int>(taken);
 }

@@ -28,7 +28,8 @@ class Quadtree {
 
   /// Splits, larger leaves first and of equal ones the fuller first, until `wanted` leaves hold a candidate and no
   /// occupied entry, or nothing is left to split. Writes the id of the best candidate of each such leaf to `ids` (at
-  /// least `wanted` long; where the last split gave more leaves, the best scores) and returns how many. No allocation.
+  /// least `wanted` long; where the last split gave more leaves, the smallest are left out) and returns how many. No
+  /// allocation.
   int select(int wanted, std::span<std::int32_t> ids);
 
  private:
@@ -55,7 +56,11 @@ class Quadtree {
   std::int32_t capacity_;
   std::vector<Entry> entries_, scratch_;
   std::vector<Node> current_, next_, leaves_;
-  std::vector<Entry> best_;
+  struct Choice {
+    float leaf_px, score;
+    std::int32_t id;
+  };
+  std::vector<Choice> best_;
 };
 
 }  // namespace godwit::vo
