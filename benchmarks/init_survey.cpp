@@ -1,12 +1,12 @@
-// godwit-init-survey SEQUENCE [--every N] [--limit N] [--trace OFFSET] [--set OPTION=VALUE] [OFFSET...]
-// Starts the initialisation at many places of a recorded sequence and compares the first map's motion with the ground
-// truth: how soon, how often, how good. One line a start. --trace prints every frame of one start.
+// godwit-init-survey SEQUENCE [--every N] [--limit N] [--trace OFFSET] [--truth-offset S] [--set OPTION=VALUE]
+// [OFFSET...] Starts the initialisation at many places of a recorded sequence and compares the first map's motion with
+// the ground truth: how soon, how often, how good. One line a start. --trace prints every frame of one start.
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 #include <fstream>
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
@@ -118,7 +118,9 @@ const char* name(godwit::vo::InitStatus s) {
 }
 
 int usage(const char* program) {
-  std::fprintf(stderr, "usage: %s SEQUENCE [--every N] [--limit N] [--trace OFFSET] [--set OPTION=VALUE] [OFFSET...]\n",
+  std::fprintf(stderr,
+               "usage: %s SEQUENCE [--every N] [--limit N] [--trace OFFSET] [--truth-offset S] [--set OPTION=VALUE] "
+               "[OFFSET...]\n",
                program);
   return 2;
 }
@@ -139,6 +141,10 @@ bool set(const std::string& assignment, godwit::vo::InitializerOptions* o) {
     o->max_depth_uncertainty = value;
   else if (key == "max_ambiguity")
     o->max_ambiguity = value;
+  else if (key == "readout")
+    o->readout = value;
+  else if (key == "min_views")
+    o->min_views = static_cast<int>(value);
   else if (key == "min_noise_px")
     o->min_noise_px = value;
   else if (key == "features")
@@ -146,6 +152,12 @@ bool set(const std::string& assignment, godwit::vo::InitializerOptions* o) {
   else
     return false;
   return true;
+}
+
+double thread_cpu_ms() {
+  timespec t{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  return static_cast<double>(t.tv_sec) * 1e3 + static_cast<double>(t.tv_nsec) * 1e-6;
 }
 
 double degrees(double rad) {
@@ -161,6 +173,7 @@ int main(int argc, char** argv) {
   s.folder = argv[1];
   std::size_t every = 0, limit = 60;
   long trace = -1;
+  double truth_offset = 0;  // what the truth's clock shows when the pictures' clock shows 0 [s]
   std::vector<std::size_t> offsets;
   for (int i = 2; i < argc; ++i) {
     const std::string a = argv[i];
@@ -170,6 +183,8 @@ int main(int argc, char** argv) {
       limit = std::strtoul(argv[++i], nullptr, 10);
     else if (a == "--trace" && i + 1 < argc)
       trace = std::strtol(argv[++i], nullptr, 10);
+    else if (a == "--truth-offset" && i + 1 < argc)
+      truth_offset = std::strtod(argv[++i], nullptr);
     else if (a == "--set" && i + 1 < argc && set(argv[i + 1], &options))
       ++i;
     else if (a.rfind("--", 0) == 0)
@@ -222,12 +237,12 @@ int main(int argc, char** argv) {
     std::size_t used = 0;
     for (std::size_t i = offset; i < std::min(s.pictures.size(), offset + limit); ++i) {
       const Frame* f = load(&s, i);
-      const auto t0 = std::chrono::steady_clock::now();
+      const double t0 = thread_cpu_ms();
       r = init.add_frame(f->pyramid, {});
-      ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - t0).count();
+      ms = thread_cpu_ms() - t0;
       ++used;
       SE3 T_world_cur;
-      const bool ok = truth_at(s.truth, f->t, &T_world_cur);
+      const bool ok = truth_at(s.truth, f->t + truth_offset, &T_world_cur);
       if (r.status == godwit::vo::InitStatus::kFirstFrame || r.status == godwit::vo::InitStatus::kTracksLost) {
         T_world_ref = T_world_cur;
         have_truth = ok;

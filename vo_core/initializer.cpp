@@ -23,6 +23,11 @@ constexpr double kSameDirectionRad = 0.17, kSameRotationRad = 0.01;
 /// A candidate motion needs this share of the model's inliers in front of both cameras. Low on purpose: far points
 /// fall on either side by noise; what is wrong is refused by its cost.
 constexpr double kMinFrontShare = 0.6;
+/// After a refused attempt the parallax has to grow by this much, and the attempt comes after so many frames anyway.
+constexpr double kMinGrowth = 1.15, kMaxGrowth = 2.0;
+constexpr int kMaxPostponed = 3;
+/// Minima of the adjustment that are followed to the bottom; the two of a plane, normally.
+constexpr int kMaxMinima = 2;
 
 bool is_masked(const rt::MaskPyramidView& mask, const Vec2f& px) {
   if (mask.levels == 0) return false;
@@ -55,7 +60,15 @@ struct Initializer::Impl {
   /// A past view: where the tracks lay on the plane z = 1.
   struct View {
     std::array<Vec2, kMaxTracks> xy;
+    std::array<Vec2, kMaxTracks> velocity;  ///< per frame interval
+    std::array<double, kMaxTracks> row;     ///< -0.5 top .. 0.5 bottom
     double parallax_px = 0;
+
+    /// Where the track would lie had the whole picture been taken when its middle row was: moved along the track's own
+    /// way by what a rolling shutter was early or late. Needs no model of the motion.
+    Vec2 at_middle_row(std::size_t track, double readout) const {
+      return xy[track] - readout * row[track] * velocity[track];
+    }
   };
   struct Solution {
     MultiViewState state;
@@ -73,7 +86,12 @@ struct Initializer::Impl {
   bool started = false;
   std::vector<Feature> features;
   std::vector<Vec2f> starts;
-  std::array<Vec2, kMaxTracks> first_xy;
+  View first;
+  std::array<Vec2, kMaxTracks> previous, before_previous;  ///< xy of the last two frames
+  int frames = 0;                                          ///< since the first view
+  double next_parallax_px = 0;                             ///< no attempt before
+  InitStatus refused = InitStatus::kNoParallax;            ///< why the last attempt failed
+  int next_frame = 0;                                      ///< an attempt again at the latest
   std::vector<View> history;
   int history_count = 0;
   Mat3 R_cur_ref = Mat3::Identity();  ///< best pure rotation to the latest view
@@ -85,6 +103,7 @@ struct Initializer::Impl {
   std::vector<double> scratch, depth_sigma;
   std::vector<std::uint8_t> good;
   std::array<Solution, 4> solutions;
+  std::array<int, 4> order{};  ///< of the solutions, best first
   int solution_count = 0;
 
   SE3 T_cur_ref;
@@ -112,6 +131,24 @@ struct Initializer::Impl {
     return true;
   }
 
+  double row_of(const Vec2f& px) const { return (static_cast<double>(px.y()) + 0.5) / camera.height() - 0.5; }
+
+  /// Velocities of the newest view and, now that one more is known, of the views before it: differences of second
+  /// order.
+  void differentiate(std::size_t k, View* newest) {
+    const Vec2 x = newest->xy[k];
+    View& last = history_count > 0 ? history[static_cast<std::size_t>(history_count - 1)] : first;
+    if (frames == 1) {
+      newest->velocity[k] = first.velocity[k] = x - first.xy[k];
+    } else {
+      newest->velocity[k] = 1.5 * x - 2.0 * previous[k] + 0.5 * before_previous[k];
+      last.velocity[k] = 0.5 * (x - before_previous[k]);
+      if (frames == 2) first.velocity[k] = -1.5 * first.xy[k] + 2.0 * previous[k] - 0.5 * x;
+    }
+    before_previous[k] = frames == 1 ? first.xy[k] : previous[k];
+    previous[k] = x;
+  }
+
   double median(int n) {
     const auto middle = scratch.begin() + n / 2;
     std::nth_element(scratch.begin(), middle, scratch.begin() + n);
@@ -129,11 +166,16 @@ struct Initializer::Impl {
     report.tracks = tracker.set_reference(frame, {starts.data(), static_cast<std::size_t>(found)});
     for (int i = 0; i < found; ++i) {
       const auto k = static_cast<std::size_t>(i);
-      if (tracker.tracks()[k].alive && !to_plane(starts[k], &first_xy[k])) {
+      if (tracker.tracks()[k].alive && !to_plane(starts[k], &first.xy[k])) {
         tracker.drop(i);
         --report.tracks;
       }
+      first.row[k] = row_of(starts[k]);
+      first.velocity[k].setZero();
     }
+    frames = 0;
+    next_parallax_px = 0;
+    next_frame = 0;
     started = report.tracks >= options.min_tracks;
     report.status = started ? status : InitStatus::kTooFewFeatures;
     return report;
@@ -148,6 +190,7 @@ struct Initializer::Impl {
       history_count = kHistory / 2;
     }
     View& view = history[static_cast<std::size_t>(history_count)];
+    ++frames;
     count = 0;
     for (int i = 0; i < static_cast<int>(tracker.tracks().size()); ++i) {
       const auto k = static_cast<std::size_t>(i);
@@ -157,10 +200,12 @@ struct Initializer::Impl {
         tracker.drop(i);
         continue;
       }
+      view.row[k] = row_of(track.px);
+      differentiate(k, &view);
       const auto n = static_cast<std::size_t>(count++);
       track_of[n] = i;
-      ref_xy[n] = first_xy[k];
-      cur_xy[n] = view.xy[k];
+      ref_xy[n] = first.at_middle_row(k, options.readout);
+      cur_xy[n] = view.at_middle_row(k, options.readout);
       scratch[n] = static_cast<double>((track.px - track.px_ref).norm());
     }
     report->tracks = count;
@@ -211,7 +256,19 @@ struct Initializer::Impl {
       state.T_view_ref[static_cast<std::size_t>(k)] = state.T_view_ref[static_cast<std::size_t>(k + 1)];
       refiner.refine_pose(k, 4, &state);
     }
-    refiner.refine(4, &state);
+    refiner.refine(3, &state);
+  }
+
+  Solution& solution(int k) { return solutions[static_cast<std::size_t>(order[static_cast<std::size_t>(k)])]; }
+
+  /// Sorts the first n places of `order` by cost, reckoned for all with the noise of the one that fits best.
+  void rank(int n) {
+    double noise = std::numeric_limits<double>::max();
+    for (int k = 0; k < n; ++k) noise = std::min(noise, refiner.sigma(solution(k).state));
+    for (int k = 0; k < n; ++k) solution(k).cost = refiner.cost(solution(k).state, noise);
+    for (int i = 1; i < n; ++i)
+      for (int j = i; j > 0 && solution(j).cost < solution(j - 1).cost; --j)
+        std::swap(order[static_cast<std::size_t>(j)], order[static_cast<std::size_t>(j - 1)]);
   }
 
   /// Marks the points that fit every view, lie in front and are neither absurdly near nor far. Returns their number.
@@ -256,6 +313,8 @@ struct Initializer::Impl {
     }
   }
 
+  void postpone(const InitReport& report);
+
   /// The decision on the packed tracks. The caller has found enough disparity and parallax.
   void decide(InitReport* report) {
     for (int i = 0; i < count; ++i) {
@@ -276,35 +335,38 @@ struct Initializer::Impl {
     refiner.begin({ref_xy.data(), n}, focal(), options.min_noise_px);
     for (int k = 0; k < views; ++k) {
       const View& view = history[static_cast<std::size_t>(chosen[static_cast<std::size_t>(k)])];
-      for (std::size_t i = 0; i < n; ++i) gathered[i] = view.xy[static_cast<std::size_t>(track_of[i])];
+      for (std::size_t i = 0; i < n; ++i)
+        gathered[i] = view.at_middle_row(static_cast<std::size_t>(track_of[i]), options.readout);
       refiner.add_view({gathered.data(), n});
     }
 
     solution_count = 0;
-    double noise = std::numeric_limits<double>::max();
     for (int k = 0; k < pair.candidate_count; ++k) {
       const TwoViewCandidate& candidate = pair.candidates[static_cast<std::size_t>(k)];
       if (candidate.in_front < kMinFrontShare * pair.inliers) continue;
-      Solution& s = solutions[static_cast<std::size_t>(solution_count++)];
-      solve(candidate, views, &s);
-      noise = std::min(noise, refiner.sigma(s.state));
+      solve(candidate, views, &solutions[static_cast<std::size_t>(solution_count++)]);
     }
     if (solution_count == 0) return;
-    int best = 0;
-    for (int k = 0; k < solution_count; ++k) {
-      Solution& s = solutions[static_cast<std::size_t>(k)];
-      s.cost = refiner.cost(s.state, noise);
-      if (s.cost < solutions[static_cast<std::size_t>(best)].cost) best = k;
-    }
-    Solution& s = solutions[static_cast<std::size_t>(best)];
+    for (int k = 0; k < solution_count; ++k) order[static_cast<std::size_t>(k)] = k;
+    rank(solution_count);
+    // Candidates of both models often fall into the same minimum: each minimum is followed to its bottom once.
     const auto last = static_cast<std::size_t>(views - 1);
-    for (int k = 0; k < solution_count; ++k) {
-      const Solution& other = solutions[static_cast<std::size_t>(k)];
-      if (k == best || same_motion(s.state.T_view_ref[last], other.state.T_view_ref[last])) continue;
-      report->ambiguity = std::max(report->ambiguity, s.cost / other.cost);
+    int kept = 1;
+    for (int k = 1; k < solution_count; ++k) {
+      bool known = false;
+      for (int j = 0; j < kept; ++j)
+        known = known || same_motion(solution(j).state.T_view_ref[last], solution(k).state.T_view_ref[last]);
+      if (!known) std::swap(order[static_cast<std::size_t>(kept++)], order[static_cast<std::size_t>(k)]);
     }
-    refiner.refine(4, &s.state);
-    refiner.refine(4, &s.state);
+    solution_count = std::min(kept, kMaxMinima);
+    for (int k = 0; k < solution_count; ++k)
+      for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(k).state);
+    rank(solution_count);
+    Solution& s = solution(0);
+    for (int k = 1; k < solution_count; ++k) {
+      if (same_motion(s.state.T_view_ref[last], solution(k).state.T_view_ref[last])) continue;
+      report->ambiguity = std::max(report->ambiguity, s.cost / solution(k).cost);
+    }
     report->noise_px = refiner.sigma(s.state);
     report->points = judge(s.state, report->noise_px);
     if (report->points < options.min_points) return;
@@ -334,6 +396,18 @@ struct Initializer::Impl {
   }
 };
 
+// An attempt costs as much as several frames of tracking: after a refusal the next one waits until the parallax has
+// grown about as much as was missing.
+void Initializer::Impl::postpone(const InitReport& report) {
+  double missing = kMinGrowth;
+  if (report.median_parallax_deg > 0)
+    missing = std::max(missing, options.min_parallax_deg / report.median_parallax_deg);
+  if (report.depth_uncertainty > 0)
+    missing = std::max(missing, report.depth_uncertainty / options.max_depth_uncertainty);
+  next_parallax_px = report.parallax_px * std::min(missing, kMaxGrowth);
+  next_frame = frames + kMaxPostponed;
+}
+
 Initializer::Initializer(const CameraModel& camera, const InitializerOptions& options)
     : impl_(std::make_unique<Impl>(camera, options)) {}
 Initializer::~Initializer() = default;
@@ -355,10 +429,14 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
   m.history[static_cast<std::size_t>(m.history_count++)].parallax_px = report.parallax_px;
   if (report.median_disparity_px < m.options.min_disparity_px) {
     report.status = InitStatus::kNoMotion;
-  } else if (report.parallax_px < m.options.min_parallax_px) {
+  } else if (report.parallax_px < m.options.min_parallax_px || m.frames < m.options.min_views) {
     report.status = InitStatus::kNoParallax;
+  } else if (report.parallax_px < m.next_parallax_px && m.frames < m.next_frame) {
+    report.status = m.refused;
   } else {
     m.decide(&report);
+    m.refused = report.status;
+    m.postpone(report);
   }
   return report;
 }

@@ -1,0 +1,244 @@
+#include "vo_core/initializer.h"
+
+#include <atomic>
+#include <cstdlib>
+#include <gtest/gtest.h>
+#include <memory>
+#include <new>
+
+#include "tests/vo_core/scene_points.h"
+#include "tests/vo_core/synthetic_scene.h"
+
+namespace {
+std::atomic<long> allocations{0};
+}  // namespace
+
+// Counts every allocation of the program. Not inlined: GCC would see malloc meet delete.
+[[gnu::noinline]] void* operator new(std::size_t size) {
+  ++allocations;
+  if (void* p = std::malloc(size)) return p;
+  throw std::bad_alloc();
+}
+[[gnu::noinline]] void* operator new(std::size_t size, std::align_val_t align) {
+  ++allocations;
+  const auto a = static_cast<std::size_t>(align);
+  if (void* p = std::aligned_alloc(a, (size + a - 1) / a * a)) return p;
+  throw std::bad_alloc();
+}
+[[gnu::noinline]] void operator delete(void* p) noexcept {
+  std::free(p);
+}
+[[gnu::noinline]] void operator delete(void* p, std::size_t) noexcept {
+  std::free(p);
+}
+[[gnu::noinline]] void operator delete(void* p, std::align_val_t) noexcept {
+  std::free(p);
+}
+[[gnu::noinline]] void operator delete(void* p, std::size_t, std::align_val_t) noexcept {
+  std::free(p);
+}
+
+namespace godwit::vo {
+namespace {
+
+using namespace test;  // NOLINT: the pictures of this folder's tests
+
+CameraModel camera() {
+  return CameraModel::pinhole_radtan(640, 480, 500, 500, 320, 240, {0.1, -0.2, 0.001, -0.001, 0.05}).value();
+}
+
+/// Sideways, a little forward, turning.
+SE3 pose(int frame) {
+  const double f = frame;
+  return {so3_exp(Vec3(0.002, -0.004, 0.003) * f), Vec3(-0.035, 0.01, 0.012) * f};
+}
+
+/// A picture, its pyramid and its truth.
+struct Shot {
+  Picture picture;
+  Pyramid pyramid;
+  SE3 T_cam_world;
+  Shot(Picture p, const SE3& T) : picture(std::move(p)), pyramid(picture.view()), T_cam_world(T) {}
+};
+
+using Shots = std::vector<std::unique_ptr<Shot>>;
+
+Shots shoot(const SyntheticScene& scene, int n, SE3 (*motion)(int), bool flicker = false) {
+  Shots shots;
+  for (int k = 0; k < n; ++k) {
+    Picture p = scene.render(camera(), motion(k), flicker ? 1.0 - 0.04 * k : 1.0, flicker ? 3.0 * k : 0.0);
+    p.add_noise(2.0, static_cast<unsigned>(k + 1));
+    shots.push_back(std::make_unique<Shot>(std::move(p), motion(k)));
+  }
+  return shots;
+}
+
+const Shots& general_shots() {
+  static const Shots shots = shoot(SyntheticScene::general(), 10, pose);
+  return shots;
+}
+const Shots& plane_shots() {
+  static const Shots shots = shoot(SyntheticScene::plane(), 10, pose, true);
+  return shots;
+}
+
+struct Outcome {
+  InitReport report;
+  std::size_t frames = 0;
+};
+Outcome run(Initializer* init, const Shots& shots, const rt::MaskPyramidView& mask = {}) {
+  Outcome r;
+  for (const auto& shot : shots) {
+    r.report = init->add_frame(shot->pyramid.view(), mask);
+    ++r.frames;
+    if (r.report.status == InitStatus::kDone) break;
+  }
+  return r;
+}
+
+void expect_good_map(const Initializer& init, const SyntheticScene& scene, const SE3& T_cur_ref) {
+  EXPECT_LT(testing::direction_error_deg(init.T_cur_ref(), T_cur_ref), 3.0);
+  EXPECT_LT(testing::rotation_error_deg(init.T_cur_ref(), T_cur_ref), 0.2);
+  // Depths against the scene: one scale for all, errors as large as promised.
+  std::vector<double> ratio, depth, normalised;
+  for (const InitPoint& p : init.points()) {
+    ratio.push_back(scene.depth(camera(), {}, p.px_ref.cast<double>()) / p.p_ref.z());
+    depth.push_back(p.p_ref.z());
+  }
+  ASSERT_GE(ratio.size(), 60u);
+  std::vector<double> sorted = ratio;
+  std::sort(sorted.begin(), sorted.end());
+  const double scale = sorted[sorted.size() / 2];
+  for (std::size_t i = 0; i < ratio.size(); ++i)
+    normalised.push_back(std::abs(ratio[i] / scale - 1.0) /
+                         (init.points()[i].depth_sigma / init.points()[i].p_ref.norm()));
+  std::sort(normalised.begin(), normalised.end());
+  std::sort(depth.begin(), depth.end());
+  EXPECT_NEAR(depth[depth.size() / 2], 1.0, 1e-6) << "the median depth is the unit";
+  EXPECT_LT(normalised[normalised.size() / 2], 1.5) << "half of the errors lie within 0.67 sigma if sigma is honest";
+  EXPECT_LT(normalised[normalised.size() * 9 / 10], 4.0);
+}
+
+TEST(Initializer, PlaneGivesHomographyAndTheRightMap) {
+  Initializer init(camera(), {});
+  const Outcome r = run(&init, plane_shots());
+  ASSERT_EQ(r.report.status, InitStatus::kDone);
+  EXPECT_EQ(r.report.model, InitModel::kHomography) << "R_H " << r.report.ratio_homography;
+  expect_good_map(init, SyntheticScene::plane(), plane_shots()[r.frames - 1]->T_cam_world);
+}
+
+TEST(Initializer, GeneralSceneGivesFundamentalAndTheRightMap) {
+  Initializer init(camera(), {});
+  const Outcome r = run(&init, general_shots());
+  ASSERT_EQ(r.report.status, InitStatus::kDone);
+  EXPECT_EQ(r.report.model, InitModel::kFundamental) << "R_H " << r.report.ratio_homography;
+  expect_good_map(init, SyntheticScene::general(), general_shots()[r.frames - 1]->T_cam_world);
+}
+
+TEST(Initializer, PureRotationIsRefused) {
+  for (const SyntheticScene& scene : {SyntheticScene::general(), SyntheticScene::plane()}) {
+    const auto shots =
+        shoot(scene, 12, [](int k) { return SE3(so3_exp(Vec3(0.006, -0.008, 0.004) * k), Vec3::Zero()); });
+    Initializer init(camera(), {});
+    const Outcome r = run(&init, shots);
+    EXPECT_EQ(r.report.status, InitStatus::kNoParallax);
+    EXPECT_GT(r.report.median_disparity_px, 20.0);
+    EXPECT_LT(r.report.parallax_px, 0.6);
+    EXPECT_TRUE(init.points().empty());
+  }
+}
+
+TEST(Initializer, NoMotionIsRefused) {
+  const auto shots = shoot(SyntheticScene::general(), 4, [](int) { return SE3(); });
+  Initializer init(camera(), {});
+  const Outcome r = run(&init, shots);
+  EXPECT_EQ(r.report.status, InitStatus::kNoMotion);
+  EXPECT_LT(r.report.median_disparity_px, 0.5);
+}
+
+TEST(Initializer, TracksThatEnterTheMaskAreDropped) {
+  Mask mask(640, 480);
+  mask.add_rectangle(0, 0, 320, 480);
+  Initializer init(camera(), {});
+  init.add_frame(general_shots()[0]->pyramid.view(), {});
+  const int all = init.add_frame(general_shots()[1]->pyramid.view(), {}).tracks;
+  const int rest = init.add_frame(general_shots()[2]->pyramid.view(), mask.view()).tracks;
+  EXPECT_LT(rest, all * 3 / 4);
+  EXPECT_GT(rest, all / 4);
+  for (std::size_t k = 3; k < general_shots().size(); ++k) {
+    if (init.add_frame(general_shots()[k]->pyramid.view(), mask.view()).status != InitStatus::kDone) continue;
+    for (const InitPoint& p : init.points()) EXPECT_GT(p.px_cur.x(), 319.0f);
+    return;
+  }
+  FAIL() << "no map from the unmasked half";
+}
+
+TEST(Initializer, FlatPictureHasTooFewFeaturesAndLostTracksStartAgain) {
+  const Picture grey(640, 480, 100);
+  const Pyramid flat(grey.view());
+  Initializer init(camera(), {});
+  EXPECT_EQ(init.add_frame(flat.view(), {}).status, InitStatus::kTooFewFeatures);
+  EXPECT_EQ(init.add_frame(general_shots()[0]->pyramid.view(), {}).status, InitStatus::kFirstFrame);
+  EXPECT_EQ(init.add_frame(plane_shots()[0]->pyramid.view(), {}).status, InitStatus::kTracksLost);
+  EXPECT_EQ(init.add_frame(flat.view(), {}).status, InitStatus::kTooFewFeatures);
+  init.reset();
+  EXPECT_EQ(run(&init, general_shots()).report.status, InitStatus::kDone) << "nothing of the past may be left";
+}
+
+TEST(Initializer, SameFramesSameMapToTheBit) {
+  Initializer one(camera(), {}), two(camera(), {});
+  run(&one, plane_shots());  // a past that must leave no trace
+  one.reset();
+  const Outcome a = run(&one, general_shots()), b = run(&two, general_shots());
+  ASSERT_EQ(a.frames, b.frames);
+  ASSERT_EQ(one.points().size(), two.points().size());
+  EXPECT_EQ(one.T_cur_ref().R, two.T_cur_ref().R);
+  EXPECT_EQ(one.T_cur_ref().t, two.T_cur_ref().t);
+  for (std::size_t i = 0; i < one.points().size(); ++i) {
+    EXPECT_EQ(one.points()[i].p_ref, two.points()[i].p_ref);
+    EXPECT_EQ(one.points()[i].depth_sigma, two.points()[i].depth_sigma);
+  }
+}
+
+TEST(Initializer, DoesNotAllocateAfterConstruction) {
+  general_shots();
+  Initializer init(camera(), {});
+  const long before = allocations;
+  ASSERT_GT(before, 0) << "the counter works";
+  const Outcome r = run(&init, general_shots());
+  EXPECT_EQ(allocations - before, 0);
+  EXPECT_EQ(r.report.status, InitStatus::kDone);
+}
+
+/// The rows of a rolling shutter's picture are taken one after the other.
+SE3 shaking(double frame) {
+  return {
+      so3_exp(Vec3(0.012 * std::sin(0.7 * frame), -0.010 * (1 - std::cos(0.7 * frame)), 0.01 * std::sin(0.6 * frame))),
+      Vec3(-0.03, 0.012, 0.0) * frame};
+}
+
+TEST(Initializer, KnowsTheRollingShutter) {
+  const SyntheticScene scene = SyntheticScene::plane();
+  constexpr double kReadout = 0.8;
+  Shots shots;
+  for (int k = 0; k < 12; ++k) {
+    Picture p = scene.render_rows(camera(), [k](int y) { return shaking(k + kReadout * ((y + 0.5) / 480.0 - 0.5)); });
+    shots.push_back(std::make_unique<Shot>(std::move(p), shaking(k)));
+  }
+  const auto error_deg = [&](double readout) {
+    InitializerOptions options;
+    options.readout = readout;
+    Initializer init(camera(), options);
+    const Outcome r = run(&init, shots);
+    if (r.report.status != InitStatus::kDone) return 180.0;
+    const SE3 truth = shots[r.frames - 1]->T_cam_world * shots[0]->T_cam_world.inverse();
+    return testing::direction_error_deg(init.T_cur_ref(), truth) +
+           10 * testing::rotation_error_deg(init.T_cur_ref(), truth);
+  };
+  const double knowing = error_deg(kReadout), not_knowing = error_deg(0.0);
+  EXPECT_LT(knowing, 5.0);
+  EXPECT_LT(knowing, 0.5 * not_knowing);
+}
+
+}  // namespace
+}  // namespace godwit::vo

@@ -1,0 +1,96 @@
+#include "vo_core/klt_tracker.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/vo_core/synthetic_scene.h"
+
+namespace godwit::vo {
+namespace {
+
+using namespace test;  // NOLINT: the pictures of this folder's tests
+
+/// The texture moved by (dx, dy) px: a feature at p is found at p + d.
+Picture moved(double dx, double dy, double gain = 1.0, double offset = 0.0) {
+  Picture picture(320, 240, 0);
+  for (int y = 0; y < 240; ++y)
+    for (int x = 0; x < 320; ++x)
+      picture(x, y) = static_cast<std::uint8_t>(
+          std::clamp(std::lround(gain * 220.0 * texture((x - dx) / 12.0, (y - dy) / 12.0, 5) + offset), 0L, 255L));
+  return picture;
+}
+
+std::vector<Vec2f> grid() {
+  std::vector<Vec2f> px;
+  for (int y = 50; y <= 190; y += 20)
+    for (int x = 50; x <= 270; x += 20) px.emplace_back(static_cast<float>(x), static_cast<float>(y));
+  return px;
+}
+
+double median_error(const KltTracker& tracker, const Vec2f& d) {
+  std::vector<double> e;
+  for (const KltTrack& t : tracker.tracks())
+    if (t.alive) e.push_back(static_cast<double>((t.px - t.px_ref - d).norm()));
+  std::sort(e.begin(), e.end());
+  return e.empty() ? 1e9 : e[e.size() / 2];
+}
+
+TEST(KltTracker, FindsSubPixelShiftsOfEverySize) {
+  const Picture first = moved(0, 0);
+  const Pyramid reference(first.view());
+  KltTracker tracker({});
+  for (const Vec2f& d : {Vec2f(0.3f, -0.7f), Vec2f(4.25f, 3.5f), Vec2f(-9.6f, 5.1f)}) {
+    const int alive = tracker.set_reference(reference.view(), grid());
+    ASSERT_GT(alive, 80);
+    const Picture second = moved(static_cast<double>(d.x()), static_cast<double>(d.y()));
+    EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10) << d.transpose();
+    EXPECT_LT(median_error(tracker, d), 0.06) << d.transpose();
+  }
+}
+
+TEST(KltTracker, BrightnessGainAndOffsetDoNotMoveTheTracks) {
+  const Picture first = moved(0, 0);
+  KltTracker tracker({});
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid());
+  const Picture second = moved(2.4, -1.3, 0.7, 40.0);
+  EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10);
+  EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.08);
+}
+
+TEST(KltTracker, DoesNotDriftOverManyFrames) {
+  const Picture first = moved(0, 0);
+  KltTracker tracker({});
+  tracker.set_reference(Pyramid(first.view()).view(), grid());
+  for (int k = 1; k <= 40; ++k) {
+    const Picture next = moved(0.37 * k, -0.21 * k);
+    tracker.track(Pyramid(next.view()).view());
+  }
+  EXPECT_LT(median_error(tracker, Vec2f(14.8f, -8.4f)), 0.06);
+}
+
+TEST(KltTracker, OtherContentAndEmptyPicturesKillTheTracks) {
+  const Picture first = moved(0, 0), grey(320, 240, 128), other = rectangles(320, 240, 300, 9);
+  KltTracker tracker({});
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid());
+  EXPECT_LT(tracker.track(Pyramid(other.view()).view()), alive / 20);
+  EXPECT_EQ(tracker.track(Pyramid(grey.view()).view()), 0);
+  EXPECT_EQ(tracker.track(Pyramid(first.view()).view()), 0) << "a dead track must not come back";
+}
+
+TEST(KltTracker, FlatPatchesAndPatchesOutsideAreNeverAlive) {
+  const Picture grey(320, 240, 128), first = moved(0, 0);
+  KltTracker tracker({});
+  EXPECT_EQ(tracker.set_reference(Pyramid(grey.view()).view(), grid()), 0);
+  const std::vector<Vec2f> outside{{2, 100}, {318, 100}, {100, 2}, {100, 238}, {-50, -50}, {1e9f, 5}, {NAN, 50}};
+  EXPECT_EQ(tracker.set_reference(Pyramid(first.view()).view(), outside), 0);
+}
+
+TEST(KltTracker, TakesNoMoreThanItsCapacity) {
+  const Picture first = moved(0, 0);
+  KltTracker tracker({});
+  const std::vector<Vec2f> many(KltTracker::kMaxTracks + 50, Vec2f(100, 100));
+  tracker.set_reference(Pyramid(first.view()).view(), many);
+  EXPECT_EQ(tracker.tracks().size(), static_cast<std::size_t>(KltTracker::kMaxTracks));
+}
+
+}  // namespace
+}  // namespace godwit::vo
