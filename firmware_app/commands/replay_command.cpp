@@ -152,6 +152,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   if (!pool) return refuse(pool.error().message);
 
   OdometryOptions odometry;
+  odometry.readout_frames = calibration.readout_frames;
   if (a.sequential) odometry.mapper_delay_frames = config.config.pipeline.mapper_delay_frames;
   const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get());
 

@@ -55,6 +55,7 @@ class OdometryStage final : public FrameStage {
     vo::TrackerOptions out;
     out.delta_delay_frames = options.mapper_delay_frames;
     out.clock = &rt::monotonic_now_ns;
+    out.initializer.readout = options.readout_frames;
     return out;
   }
 

@@ -14,6 +14,8 @@ struct OdometryOptions {
   /// Sequential runs: results of the mapper are applied so many frames after the frame that caused them. 0: when they
   /// are there, for threads.
   int mapper_delay_frames = 0;
+  /// Rolling shutter: time from the first row to the last [frame intervals].
+  double readout_frames = 0;
 };
 
 /// The odometry's camera model from a calibration file's numbers. Error: absurd numbers.

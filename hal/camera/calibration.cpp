@@ -126,6 +126,23 @@ void check_intrinsics(const std::string& name, const CameraCalibration& c) {
   if (!(c.cy > 0 && c.cy < c.height - 1)) fail("cy", "the centre lies outside the picture");
 }
 
+/// Keys shutter ("global", "rolling (..)") and readout_s. After fps.
+void read_shutter(const Reader& in, CameraCalibration* c) {
+  if (in.has("shutter")) {
+    const std::string shutter = in.text("shutter");
+    if (starts_with(shutter, "rolling")) {
+      c->readout_frames = kTypicalReadout;
+    } else if (!starts_with(shutter, "global")) {
+      in.fail("shutter", "'" + shutter.substr(0, 40) + "' is unknown; known are global and rolling");
+    }
+  }
+  if (!in.has("readout_s")) return;
+  const double readout_s = in.number("readout_s");
+  if (!(c->fps > 0)) in.fail("readout_s", "needs fps");
+  c->readout_frames = readout_s * c->fps;
+  if (!(c->readout_frames >= 0 && c->readout_frames <= 1)) in.fail("readout_s", "must lie between 0 and 1 / fps");
+}
+
 CameraCalibration read_own(const Reader& in) {
   CameraCalibration c;
   if (in.text("model") != "pinhole")
@@ -138,6 +155,7 @@ CameraCalibration read_own(const Reader& in) {
   c.cy = in.number("cy");
   read_distortion(in, "distortion", &c);
   if (in.has("fps")) c.fps = in.number("fps");
+  read_shutter(in, &c);
   if (in.has("image_channels")) {
     // "3", or "1 (grey 8 bit)".
     const std::string channels = in.text("image_channels");

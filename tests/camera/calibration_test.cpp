@@ -67,6 +67,21 @@ TEST(Calibration, ReadsTheFisheyeModel) {
   EXPECT_EQ(c.value().distortion_model, CameraCalibration::Distortion::kKannalaBrandt4);
 }
 
+TEST(Calibration, ReadsTheShutter) {
+  const auto readout = [](const std::string& more) {
+    const auto c = parse_calibration(kOwn + more, "camera.yaml");
+    EXPECT_TRUE(c.ok()) << c.error().message;
+    return c.ok() ? c.value().readout_frames : -1.0;
+  };
+  EXPECT_EQ(readout(""), 0.0);
+  EXPECT_EQ(readout("shutter: global\n"), 0.0);
+  EXPECT_EQ(readout("shutter: rolling (Kinect v1)\n"), kTypicalReadout);
+  EXPECT_DOUBLE_EQ(readout("shutter: rolling\nreadout_s: 0.020\n"), 0.6);
+  EXPECT_THAT(refusal(std::string(kOwn) + "shutter: leaf\n"), HasSubstr("known are global and rolling"));
+  EXPECT_THAT(refusal(std::string(kOwn) + "readout_s: 0.05\n"), HasSubstr("between 0 and 1 / fps"));
+  EXPECT_THAT(refusal(with(kOwn, "fps: 30\n", "") + "readout_s: 0.02\n"), HasSubstr("needs fps"));
+}
+
 TEST(Calibration, RefusesWithFileLineKeyAndReason) {
   EXPECT_EQ(refusal(with(kOwn, "fx: 517.3\n", "")), "camera.yaml: fx is missing");
   EXPECT_EQ(refusal(with(kOwn, "fx: 517.3", "fx: wide")), "camera.yaml:5: fx: a number is wanted");
