@@ -1,0 +1,185 @@
+#include "firmware_app/link/byte_port.h"
+
+#include <algorithm>
+#include <arpa/inet.h>
+#include <bit>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <fcntl.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <termios.h>
+#include <unistd.h>
+#include <utility>
+#include <vector>
+
+namespace godwit::link {
+namespace {
+
+class UdpPort final : public BytePort {
+ public:
+  explicit UdpPort(int fd) : fd_(fd) {}
+  ~UdpPort() override { close(fd_); }
+  bool send(std::span<const std::uint8_t> message, TxClass) override {
+    return ::send(fd_, message.data(), message.size(), MSG_DONTWAIT) == static_cast<ssize_t>(message.size());
+  }
+  void flush() override {}  // a datagram is gone or refused at once
+  std::size_t receive(std::span<std::uint8_t> into) override {
+    const ssize_t n = recv(fd_, into.data(), into.size(), MSG_DONTWAIT);
+    return n > 0 ? static_cast<std::size_t>(n) : 0;
+  }
+  int descriptor() const override { return fd_; }
+
+ private:
+  int fd_;
+};
+
+class SerialPort final : public BytePort {
+ public:
+  explicit SerialPort(int fd) : fd_(fd) {}
+  ~SerialPort() override { close(fd_); }
+  bool send(std::span<const std::uint8_t> message, TxClass tx_class) override {
+    if (!queue_.push(message, tx_class)) return false;
+    flush();
+    return true;
+  }
+  void flush() override {
+    for (std::size_t i = 0; i <= ByteQueue::kMessages; ++i) {
+      const auto next = queue_.front();
+      if (next.empty()) return;
+      const ssize_t n = write(fd_, next.data(), next.size());
+      if (n <= 0) return;
+      queue_.consume(static_cast<std::size_t>(n));
+    }
+  }
+  std::size_t receive(std::span<std::uint8_t> into) override {
+    const ssize_t n = read(fd_, into.data(), into.size());
+    return n > 0 ? static_cast<std::size_t>(n) : 0;
+  }
+  int descriptor() const override { return fd_; }
+
+ private:
+  int fd_;
+  ByteQueue queue_;
+};
+
+std::vector<std::string> split(const std::string& text) {
+  std::vector<std::string> parts(1);
+  for (const char c : text) {
+    if (c == ':') {
+      parts.emplace_back();
+    } else {
+      parts.back() += c;
+    }
+  }
+  return parts;
+}
+
+bool number(const std::string& text, unsigned most, unsigned* out) {
+  const auto [end, failure] = std::from_chars(text.data(), text.data() + text.size(), *out);
+  return failure == std::errc() && end == text.data() + text.size() && *out > 0 && *out <= most;
+}
+
+rt::Result<std::unique_ptr<BytePort>> open_udp(const std::string& address, const std::vector<std::string>& parts) {
+  const auto bad = [&](const std::string& why) { return rt::Error{"MAVLink port \"" + address + "\": " + why}; };
+  unsigned port = 0, local = 0;
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  if (inet_pton(AF_INET, parts[1].c_str(), &to.sin_addr) != 1) return bad(parts[1] + " is no IPv4 address");
+  if (!number(parts[2], 65535, &port)) return bad("the port must be 1 to 65535");
+  if (parts.size() == 4 && !number(parts[3], 65535, &local)) return bad("the local port must be 1 to 65535");
+  to.sin_port = htons(static_cast<std::uint16_t>(port));
+  const int fd = socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (fd < 0) return bad(std::strerror(errno));
+  auto self = std::make_unique<UdpPort>(fd);
+  sockaddr_in from{};
+  from.sin_family = AF_INET;
+  from.sin_port = htons(static_cast<std::uint16_t>(local));
+  if (local != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) {
+    return bad("bind: " + std::string(std::strerror(errno)));
+  }
+  if (connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0) return bad(std::strerror(errno));
+  return std::unique_ptr<BytePort>(std::move(self));
+}
+
+constexpr std::array<std::pair<unsigned, speed_t>, 7> kBaudRates{{{57600, B57600},
+                                                                  {115200, B115200},
+                                                                  {230400, B230400},
+                                                                  {460800, B460800},
+                                                                  {500000, B500000},
+                                                                  {921600, B921600},
+                                                                  {1500000, B1500000}}};
+
+rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, const std::vector<std::string>& parts) {
+  const auto bad = [&](const std::string& why) { return rt::Error{"MAVLink port \"" + address + "\": " + why}; };
+  unsigned baud = 0;
+  const bool is_number = number(parts[2], 10000000, &baud);
+  const auto* rate = std::find_if(kBaudRates.begin(), kBaudRates.end(), [&](const auto& r) { return r.first == baud; });
+  if (!is_number || rate == kBaudRates.end()) {
+    return bad("the baud rate must be 57600, 115200, 230400, 460800, 500000, 921600 or 1500000");
+  }
+  const int fd = open(parts[1].c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+  if (fd < 0) return bad(std::strerror(errno));
+  auto self = std::make_unique<SerialPort>(fd);
+  termios mode{};
+  if (tcgetattr(fd, &mode) != 0) return bad("no serial port: " + std::string(std::strerror(errno)));
+  cfmakeraw(&mode);
+  mode.c_cflag |= CLOCAL | CREAD;
+  mode.c_cflag &= ~static_cast<tcflag_t>(CRTSCTS | CSTOPB);
+  cfsetispeed(&mode, rate->second);
+  cfsetospeed(&mode, rate->second);
+  if (tcsetattr(fd, TCSANOW, &mode) != 0) return bad(std::strerror(errno));
+  return std::unique_ptr<BytePort>(std::move(self));
+}
+
+}  // namespace
+
+rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address) {
+  const std::vector<std::string> parts = split(address);
+  if (parts[0] == "udp" && (parts.size() == 3 || parts.size() == 4)) return open_udp(address, parts);
+  if (parts[0] == "serial" && parts.size() == 3) return open_serial(address, parts);
+  return rt::Error{"MAVLink port \"" + address + "\": expected udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD"};
+}
+
+bool ByteQueue::push(std::span<const std::uint8_t> message, TxClass tx_class) {
+  if (message.empty() || message.size() > kMessageBytes) return false;
+  if (tx_class == TxClass::kPose) {
+    for (std::size_t i = written_ > 0 ? 1 : 0; i < count_; ++i) {
+      if (slots_[order_[i]].tx_class != TxClass::kPose) continue;
+      free_ |= 1U << order_[i];
+      std::copy(order_.begin() + static_cast<std::ptrdiff_t>(i) + 1,
+                order_.begin() + static_cast<std::ptrdiff_t>(count_), order_.begin() + static_cast<std::ptrdiff_t>(i));
+      --count_;
+      ++poses_replaced_;
+      break;  // at most one waits
+    }
+  }
+  if (free_ == 0) return false;
+  const auto index = static_cast<std::uint8_t>(std::countr_zero(free_));
+  free_ &= ~(1U << index);
+  Slot& slot = slots_[index];
+  slot.tx_class = tx_class;
+  slot.size = message.size();
+  std::copy(message.begin(), message.end(), slot.bytes.begin());
+  order_[count_++] = index;
+  return true;
+}
+
+std::span<const std::uint8_t> ByteQueue::front() const {
+  if (count_ == 0) return {};
+  const Slot& slot = slots_[order_[0]];
+  return {slot.bytes.data() + written_, slot.size - written_};
+}
+
+void ByteQueue::consume(std::size_t bytes) {
+  if (count_ == 0) return;
+  written_ += bytes;
+  if (written_ < slots_[order_[0]].size) return;
+  written_ = 0;
+  free_ |= 1U << order_[0];
+  std::copy(order_.begin() + 1, order_.begin() + static_cast<std::ptrdiff_t>(count_), order_.begin());
+  --count_;
+}
+
+}  // namespace godwit::link

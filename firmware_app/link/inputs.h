@@ -1,0 +1,44 @@
+// What the autopilot and other nodes tell us, handed to the pipeline with arrival and source time. This is all that can
+// reach the odometry from the bus.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "firmware_app/link/dronecan/transfer.h"
+#include "firmware_app/link/mavlink/codec.h"
+#include "hal/rt/spsc_ring.h"
+#include "hal/rt/time.h"
+
+namespace godwit::link {
+
+enum class InputKind : std::uint8_t {
+  kAttitude,  ///< value: quaternion w x y z (body FRD to NED), rates FRD [rad/s]
+  kImu,       ///< value: acceleration FRD [m/s^2], rates FRD [rad/s]
+  kRange,     ///< value: distance [m], orientation (MAV_SENSOR_ORIENTATION; -1 from DroneCAN), smallest, largest [m]
+  kLocalPosition,   ///< value: position NED [m], velocity NED [m/s]
+  kGlobalPosition,  ///< value: latitude, longitude [degree], altitude, height above home [m], velocity NED [m/s]
+  kPressure,        ///< value: pressure [Pa], variance [Pa^2]
+  kArmed,           ///< value: 0 or 1
+  kBusTime          ///< value: none; t_source_us: time of the bus master's previous GlobalTimeSync
+};
+
+struct AutopilotInput {
+  InputKind kind = InputKind::kArmed;
+  std::uint8_t source = 0;        ///< node id on the bus, or MAVLink component
+  std::uint8_t sensor = 0;        ///< id of the sensor, where there are several
+  rt::TimeNs t_arrival_ns = 0;    ///< CLOCK_MONOTONIC
+  std::uint64_t t_source_us = 0;  ///< the source's own clock, 0: not given
+  rt::TimeNs t_measured_ns = 0;   ///< t_source on our clock by TIMESYNC, 0: not known
+  std::array<double, 7> value{};
+};
+
+using InputRing = rt::SpscRing<AutopilotInput, 512>;
+
+/// Reads a MAVLink message as an input; false where it is none, or holds a number that is not finite.
+bool input_from_mavlink(const mavlink::RawMessage& raw, AutopilotInput* out);
+
+/// The same for a DroneCAN message: Range 1050, StaticPressure 1028, RawIMU 1003, GlobalTimeSync 4.
+bool input_from_dronecan(const dronecan::Transfer& transfer, AutopilotInput* out);
+
+}  // namespace godwit::link

@@ -1,0 +1,187 @@
+// The link as the link thread runs it: poses and health in; DroneCAN node, MAVLink and telemetry out; inputs back.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string_view>
+
+#include "firmware_app/link/byte_port.h"
+#include "firmware_app/link/dronecan/node.h"
+#include "firmware_app/link/inputs.h"
+#include "firmware_app/link/latency.h"
+#include "firmware_app/link/mavlink/endpoint.h"
+#include "firmware_app/link/odometry_message.h"
+#include "firmware_app/link/parameters.h"
+#include "firmware_app/link/pose_sample.h"
+#include "firmware_app/link/storage.h"
+#include "firmware_app/link/telemetry.h"
+#include "firmware_app/link/tx_queue.h"
+#include "hal/can/can_bus.h"
+#include "hal/rt/triple_buffer.h"
+
+namespace godwit::link {
+
+/// Why the node is not well: bits of NodeStatus' vendor code.
+enum Reason : std::uint16_t {
+  kCameraFailed = 1U << 0,
+  kImuFailed = 1U << 1,
+  kProcessFailed = 1U << 2,
+  kPoseStalled = 1U << 3,  ///< no new pose for pose_timeout_ns, or only stale ones
+  kNoPose = 1U << 4,       ///< initialising, relocalising or lost
+  kNoScale = 1U << 5,
+  kNoGravity = 1U << 6,
+  kTooHot = 1U << 7,
+  kLatencyGrew = 1U << 8,
+  kBusTrouble = 1U << 9,    ///< bus-off, gone, or messages dropped in the last second
+  kNoAutopilot = 1U << 10,  ///< no HEARTBEAT for 3 s
+  kNoTimesync = 1U << 11,
+  kDetectorFailed = 1U << 12,
+  kBadPose = 1U << 13  ///< not finite, huge, or from the future: a fault of ours
+};
+
+struct LinkConfig {
+  OdometryConfig odometry;
+  dronecan::NodeIdentity identity;
+  mavlink::EndpointConfig mavlink;
+  ParameterValues parameters = fallback_values();
+  bool imu_required = false;
+  rt::TimeNs pose_timeout_ns = 90 * rt::kNsPerMs;  ///< health is ERROR within 100 ms of the last frame
+  rt::TimeNs max_pose_age_ns = 500 * rt::kNsPerMs;
+  float max_temperature_c = 95;
+  std::uint32_t assumed_bit_rate = 1'000'000;  ///< for the bus load where the interface does not tell
+  double fd_data_rate_factor = 4;
+};
+
+/// What the link says of itself to log and display.
+struct LinkStatus {
+  rt::TimeNs t_ns = 0;
+  dronecan::NodeCondition condition;
+  std::uint8_t node_id = 0;
+  bool armed = false;
+  bool autopilot_alive = false;
+  std::int8_t quality = -1;
+  std::uint8_t reset_counter = 0;
+  LatencySummary latency;
+  double round_trip_ms = 0;
+  double bus_load_percent = 0;  ///< of our own frames over the last second
+  std::uint64_t odometry_sent = 0;
+  std::uint64_t poses_stale = 0;  ///< given to us late, twice or from the future; never sent as good
+  std::uint64_t poses_paced = 0;  ///< passed over because the camera is faster than VIO_RATE
+  TxCounters tx;
+  dronecan::ReassemblyCounters reception;
+  hal::CanCounters bus;
+  hal::CanState bus_state = hal::CanState::kGone;
+  mavlink::EndpointCounters mavlink;
+};
+
+/// The link's neighbours; all outlive it. bus or bytes may be null: with bytes MAVLink goes there, else through the
+/// tunnel. inputs and status may be null.
+struct LinkPorts {
+  hal::CanBus* bus = nullptr;
+  BytePort* bytes = nullptr;
+  Storage* storage = nullptr;
+  rt::TripleBuffer<PoseSample>* poses = nullptr;
+  rt::TripleBuffer<SystemHealth>* health = nullptr;
+  InputRing* inputs = nullptr;
+  rt::TripleBuffer<LinkStatus>* status = nullptr;
+};
+
+/// step() belongs to one thread; time is its argument; it does not allocate, lock or block, and its work is bounded.
+class LinkNode {
+ public:
+  /// Reads nothing from disk: `stored` is what Storage::load gave. Error: contradictions in the configuration.
+  static rt::Result<std::unique_ptr<LinkNode>> create(const LinkConfig& config, const LinkPorts& ports,
+                                                      const StoredState& stored);
+  /// Call it when a pose or a frame arrives, and at least every 5 ms.
+  void step(rt::TimeNs now_ns);
+  /// Any thread: send SET_GPS_GLOBAL_ORIGIN at the next step.
+  void request_origin() { origin_requested_.store(true, std::memory_order_relaxed); }
+  /// RestartNode was asked for, granted and answered: end the process so that systemd starts it anew.
+  bool restart_due() const { return restart_due_; }
+  const LinkStatus& status() const { return status_; }
+  mavlink::Endpoint& endpoint() { return endpoint_; }
+  const dronecan::Node& node() const { return node_; }
+
+  static constexpr int kMaxFramesPerStep = 256;
+
+ private:
+  // Splits MAVLink frames into uavcan.tunnel.Targetted, or hands them to the byte port.
+  class LinkCarrier final : public mavlink::Carrier {
+   public:
+    explicit LinkCarrier(LinkNode* link) : link_(link) {}
+    bool send(std::span<const std::uint8_t> frame, TxClass tx_class, rt::TimeNs now_ns) override;
+
+   private:
+    LinkNode* link_;
+  };
+
+  LinkNode(const LinkConfig& config, const LinkPorts& ports, const StoredState& stored);
+  void receive(rt::TimeNs now_ns);
+  void take_transfer(const dronecan::Transfer& transfer, rt::TimeNs now_ns);
+  void take_tunnel(const dronecan::Transfer& transfer, rt::TimeNs now_ns);
+  bool send_through_tunnel(std::span<const std::uint8_t> frame, TxClass tx_class, rt::TimeNs now_ns);
+  void take_pose(rt::TimeNs now_ns);
+  void follow_resets(const PoseSample& sample);
+  bool pose_is_due(const PoseSample& sample, rt::TimeNs now_ns);
+  void send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs now_ns);
+  void send_telemetry(rt::TimeNs now_ns);
+  void tell_state(rt::TimeNs now_ns);
+  dronecan::NodeCondition condition(rt::TimeNs now_ns) const;
+  void account_sent_pose(rt::TimeNs now_ns);
+  void each_second(rt::TimeNs now_ns);
+  void tell_latency(rt::TimeNs now_ns);
+  bool armed(rt::TimeNs now_ns) const;
+  void say(mavlink::StatusText::Severity severity, std::string_view text, rt::TimeNs now_ns);
+  void set_bus_filters();
+  bool stalled(rt::TimeNs now_ns) const { return now_ns - t_last_pose_ns_ > config_.pose_timeout_ns; }
+
+  LinkConfig config_;
+  LinkPorts ports_;
+  ParameterSet parameters_;
+  TxQueue queue_;
+  dronecan::Reassembler reassembler_;
+  dronecan::Node node_;
+  LinkCarrier carrier_;
+  mavlink::Endpoint endpoint_;
+  LatencyMonitor latency_;
+  std::atomic<bool> origin_requested_{false};  // partner: step(); a flag alone, so relaxed order will do
+
+  PoseSample sample_;  // the newest one taken
+  BodyPose body_;      // its pose
+  SystemHealth health_;
+  bool started_ = false;
+  bool any_pose_ = false;
+  bool bad_pose_ = false;
+  rt::TimeNs t_last_pose_ns_ = 0;  // arrival of the newest good sample
+  rt::TimeNs t_next_due_ns_ = 0;   // capture time from which the next pose is sent
+  rt::TimeNs t_last_odometry_ns_ = 0;
+  std::uint8_t reset_counter_ = 0;
+  std::uint8_t reset_reserved_ = 0;
+  std::uint8_t sample_reset_ = 0;
+  std::uint32_t sample_map_ = 0;
+
+  std::uint8_t filters_for_node_ = 0;
+  std::uint8_t tunnel_transfer_id_ = 0;
+  std::uint64_t last_carried_ = 0;  // number of the message the carrier queued last
+  std::uint64_t pose_number_ = 0;   // of the pose whose sending is awaited
+  rt::TimeNs pose_capture_ns_ = 0;
+  std::uint8_t telemetry_sequence_ = 0;
+  rt::TimeNs t_next_telemetry_ns_ = 0;
+  rt::TimeNs t_next_second_ns_ = 0;
+  double bits_before_ = 0;
+  std::uint64_t drops_before_ = 0;
+  bool bus_trouble_ = false;
+  bool arming_status_armed_ = false;
+  rt::TimeNs t_arming_status_ns_ = 0;
+  PoseState told_state_ = PoseState::kInitialising;
+  bool told_metric_ = false;
+  rt::TimeNs t_told_ns_ = 0;
+  bool told_growth_ = false;
+  rt::TimeNs t_next_latency_text_ns_ = 0;
+  bool restart_due_ = false;
+  LinkStatus status_;
+};
+
+}  // namespace godwit::link

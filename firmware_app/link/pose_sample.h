@@ -1,0 +1,45 @@
+// What the odometry tells the autopilot link: state, pose, covariance and quality of one frame leave together.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "hal/rt/time.h"
+
+namespace godwit::link {
+
+enum class PoseState : std::uint8_t { kInitialising = 0, kTracking = 1, kCoasting = 2, kRelocalising = 3, kLost = 4 };
+
+/// One frame's pose. Plain bytes, so that it travels through rt::TripleBuffer.
+///
+/// World: right-handed, origin where the map began, z up once gravity is known, x a fixed horizontal direction.
+/// Camera: x right, y down, z forward. Everything metric once has_scale.
+struct PoseSample {
+  rt::TimeNs t_capture_ns = 0;  ///< middle of exposure, CLOCK_MONOTONIC
+  PoseState state = PoseState::kInitialising;
+  bool has_scale = false;
+  bool has_gravity = false;
+  std::uint8_t reset_counter = 0;  ///< counts the jumps of the pose in this run; any change is passed on
+  std::uint32_t map_id = 0;
+  std::uint16_t measurements = 0;  ///< image measurements that updated this pose
+
+  std::array<double, 3> position{};               ///< of the camera in the world [m]
+  std::array<double, 4> orientation{1, 0, 0, 0};  ///< w x y z, camera to world
+  std::array<double, 3> velocity{};               ///< of the camera, along world axes [m/s]
+  std::array<double, 3> angular_velocity{};       ///< of the camera, along camera axes [rad/s]
+  /// Of (position [m], orientation [rad]), rows first. The orientation's error is a rotation vector along world axes:
+  /// R_true = exp(e) R.
+  std::array<double, 36> covariance{};
+  std::array<double, 9> velocity_covariance{};  ///< along world axes [m^2/s^2], rows first
+};
+
+/// How the machine is. Written by whoever watches camera, IMU and threads.
+struct SystemHealth {
+  bool camera_ok = true;
+  bool imu_ok = true;
+  bool process_ok = true;   ///< threads alive, no page faults or slips out of bounds
+  bool detector_ok = true;  ///< its absence is a warning, no failure
+  float temperature_c = 0;
+};
+
+}  // namespace godwit::link
