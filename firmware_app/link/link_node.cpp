@@ -1,5 +1,6 @@
 #include "firmware_app/link/link_node.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cstdio>
 

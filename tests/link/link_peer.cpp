@@ -152,7 +152,7 @@ int main(int argc, char** argv) {
   const rt::TimeNs start = rt::monotonic_now_ns();
   const auto period = static_cast<rt::TimeNs>(1e9 / o.camera_hz);
   rt::TimeNs next_frame = start + period;
-  std::vector<double> own_ms;
+  std::vector<double> own_ms, wall_ms;
   std::array<std::uint64_t, 8> input_counts{};
   std::uint8_t resets = 0;
   while (!link->restart_due()) {
@@ -181,27 +181,32 @@ int main(int argc, char** argv) {
       next_frame += period;
     }
     now = rt::monotonic_now_ns();
+    const rt::TimeNs cpu = rt::thread_cpu_now_ns();
     link->step(now);
-    if (pose) own_ms.push_back(rt::to_ms(rt::monotonic_now_ns() - now));
+    if (pose) {
+      own_ms.push_back(rt::to_ms(rt::thread_cpu_now_ns() - cpu));
+      wall_ms.push_back(rt::to_ms(rt::monotonic_now_ns() - now));
+    }
     AutopilotInput input;
     while (inputs->try_pop(&input)) ++input_counts[static_cast<std::size_t>(input.kind)];
     storage.serve();
     rt::sleep_until_ns(std::min(next_frame + 5 * rt::kNsPerMs, now + rt::kNsPerMs));
   }
   if (log != nullptr) std::fclose(log);
-  std::sort(own_ms.begin(), own_ms.end());
-  const auto at = [&](double share) {
-    return own_ms.empty() ? 0.0 : own_ms[static_cast<std::size_t>(share * static_cast<double>(own_ms.size() - 1))];
+  const auto at = [](std::vector<double>& values, double share) {
+    std::sort(values.begin(), values.end());
+    return values.empty() ? 0.0 : values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
   };
   const LinkStatus& s = link->status();
   std::printf(
-      "{\"own_p50_ms\": %.4f, \"own_p99_ms\": %.4f, \"latency_min_ms\": %.3f, \"latency_p50_ms\": %.3f, "
+      "{\"own_p50_ms\": %.4f, \"own_p99_ms\": %.4f, \"wall_p99_ms\": %.4f, \"latency_min_ms\": %.3f, "
+      "\"latency_p50_ms\": %.3f, "
       "\"latency_p99_ms\": %.3f, \"viso_delay_ms\": %d, \"round_trip_ms\": %.3f, \"bus_load\": %.3f, "
       "\"odometry\": %llu, \"paced\": %llu, \"replaced\": %llu, \"errors\": %llu, \"reset_counter\": %d, "
       "\"node_id\": %d, \"attitude\": %llu, \"range\": %llu, \"local\": %llu, \"global\": %llu, \"imu\": %llu, "
       "\"pressure\": %llu, \"time\": %llu}\n",
-      at(0.5), at(0.99), s.latency.min_ms, s.latency.p50_ms, s.latency.p99_ms, s.latency.viso_delay_ms, s.round_trip_ms,
-      s.bus_load_percent, static_cast<unsigned long long>(s.odometry_sent),
+      at(own_ms, 0.5), at(own_ms, 0.99), at(wall_ms, 0.99), s.latency.min_ms, s.latency.p50_ms, s.latency.p99_ms,
+      s.latency.viso_delay_ms, s.round_trip_ms, s.bus_load_percent, static_cast<unsigned long long>(s.odometry_sent),
       static_cast<unsigned long long>(s.poses_paced), static_cast<unsigned long long>(s.tx.poses_replaced),
       static_cast<unsigned long long>(s.reception.errors()), s.reset_counter, s.node_id,
       static_cast<unsigned long long>(input_counts[0]), static_cast<unsigned long long>(input_counts[2]),

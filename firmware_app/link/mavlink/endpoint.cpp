@@ -43,6 +43,10 @@ bool Endpoint::send(const Message& message, TxClass tx_class, rt::TimeNs now_ns)
   return sent;
 }
 
+bool Endpoint::send_odometry(const Odometry& message, rt::TimeNs now_ns) {
+  return send(message, TxClass::kPose, now_ns);
+}
+
 bool Endpoint::autopilot_alive(rt::TimeNs now_ns) const {
   return t_heartbeat_ns_ != 0 && now_ns - t_heartbeat_ns_ <= kAliveNs;
 }

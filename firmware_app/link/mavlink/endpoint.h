@@ -59,7 +59,7 @@ class Endpoint {
   /// HEARTBEAT, TIMESYNC, requests for messages.
   void step(rt::TimeNs now_ns);
   /// False: dropped whole by the carrier.
-  bool send_odometry(const Odometry& message, rt::TimeNs now_ns) { return send(message, TxClass::kPose, now_ns); }
+  bool send_odometry(const Odometry& message, rt::TimeNs now_ns);
   /// Cut at 50 characters.
   void send_text(StatusText::Severity severity, std::string_view text, rt::TimeNs now_ns);
   /// SET_GPS_GLOBAL_ORIGIN with the configured origin; false where none is configured.

@@ -1,0 +1,337 @@
+#!/usr/bin/env python3
+"""The link against pydronecan and pymavlink on a multicast bus. Run it inside a network namespace (with_peers.sh --bus):
+
+    with_peers.sh --bus dronecan,pymavlink link_test.py build/release/tests/link/godwit_link_peer [--seconds 60]
+"""
+import argparse
+import bisect
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, uavcan  # noqa: E402
+
+FAILURES = []
+LATE_START = 19  # a process that starts in the middle of somebody's transfer counts each frame of the rest
+
+
+def check(condition, text):
+    print(("ok    " if condition else "FAIL  ") + text)
+    if not condition:
+        FAILURES.append(text)
+
+
+def start(program, *arguments):
+    return subprocess.Popen([program, "--can", "multicast:0", *arguments], stdout=subprocess.PIPE, text=True)
+
+
+def finish(process, spin=None):
+    end = time.monotonic() + 15
+    while process.poll() is None and time.monotonic() < end:
+        spin(0.05) if spin else time.sleep(0.05)
+    out = process.communicate(timeout=5)[0]
+    return json.loads(out.strip().split("\n")[-1]), process.returncode
+
+
+# ---- a node that a ground station understands -------------------------------------------------------------------------
+
+def get_set(ap, name="", index=0, **value):
+    request = uavcan.protocol.param.GetSet.Request(index=index)
+    if name:
+        request.name = name
+    if value:
+        request.value = uavcan.protocol.param.Value(**value)
+    return ap.request(request)
+
+
+def services(program, fd):
+    print("services over %s frames" % ("CAN FD" if fd else "classic"))
+    with tempfile.TemporaryDirectory() as state:
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        ap.node.set_canfd(fd)
+        process = start(program, "--seconds", "60", "--state", state, "--origin", "--set", "VIO_CANFD=%d" % fd)
+        ap.spin(3.2)
+        statuses = [(t, x.payload) for t, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+        gaps = [b[0] - a[0] for a, b in zip(statuses, statuses[1:])]
+        check(len(statuses) >= 3 and max(gaps) < 1.1, "NodeStatus each second (gaps %s)" % ["%.2f" % g for g in gaps])
+        check(statuses[-1][1].health == 0 and statuses[-1][1].mode == 0, "operational and healthy")
+
+        info = ap.request(uavcan.protocol.GetNodeInfo.Request())
+        check(info is not None and str(info.name) == "org.godwit.vio", "names itself: %s" % (info and info.name))
+        unique = bytes(info.hardware_version.unique_id.to_bytes())
+        check(any(unique) and unique == bytes(ap.request(uavcan.protocol.GetNodeInfo.Request()).hardware_version.unique_id.to_bytes()),
+              "stable unique id %s" % unique.hex())
+
+        names, index = [], 0
+        while True:
+            r = get_set(ap, index=index)
+            if r is None or not str(r.name):
+                break
+            names.append(str(r.name))
+            index += 1
+        check(r is not None and len(names) == 13 and len(set(names)) == 13, "lists its parameters: %s" % names)
+        r = get_set(ap, "VIO_RATE")
+        check(r.value.integer_value == 30 and r.max_value.integer_value == 40 and r.min_value.integer_value == 20 and
+              r.default_value.integer_value == 30, "VIO_RATE 30 of 20 to 40")
+        check(get_set(ap, "VIO_RATE", integer_value=25).value.integer_value == 25, "sets a value")
+        check(get_set(ap, "VIO_RATE", integer_value=99).value.integer_value == 25, "keeps it when told one outside its limits")
+        check(get_set(ap, "VIO_RATE", real_value=float("nan")).value.integer_value == 25, "or none at all")
+        check(get_set(ap, "VIO_RATE", real_value=28.0).value.integer_value == 28, "takes a whole number in real form")
+        check(not str(get_set(ap, "NO_SUCH").name), "an unknown name gives nothing")
+
+        def opcode(code):
+            r = ap.request(uavcan.protocol.param.ExecuteOpcode.Request(opcode=code, argument=0))
+            return r is not None and r.ok
+
+        path = os.path.join(state, "link_parameters.txt")
+        check(opcode(0) and "VIO_RATE 28" in open(path).read(), "saves")
+        stats = ap.request(uavcan.protocol.GetTransportStats.Request())
+        check(stats is not None and stats.transfers_tx > 50 and stats.transfers_rx > 10 and stats.transfer_errors <= LATE_START and
+              len(stats.can_iface_stats) == 1 and stats.can_iface_stats[0].frames_tx > 100, "transport statistics")
+        update = ap.request(uavcan.protocol.file.BeginFirmwareUpdate.Request(
+            source_node_id=10, image_file_remote_path=uavcan.protocol.file.Path(path="x.bin")))
+        check(update is not None and update.error == 1, "refuses a firmware update: %s" % update.optional_error_message)
+        check(get_set(ap, "VIO_SET_ORIGIN", boolean_value=1) is not None, "asked to send the origin")
+        ap.spin(0.3)
+        check(ap.origin == (473977000, 85456000, 488000), "sends SET_GPS_GLOBAL_ORIGIN: %s" % (ap.origin,))
+
+        ap.armed = True
+        ap.spin(1.2)
+        check(get_set(ap, "VIO_RATE", integer_value=35).value.integer_value == 28, "armed: no parameter is set")
+        check(not opcode(0) and not opcode(1) and os.path.exists(path), "armed: no save, no erase")
+        r = ap.request(uavcan.protocol.RestartNode.Request(magic_number=0xACCE551B1E))
+        check(r is not None and not r.ok and process.poll() is None, "armed: no restart")
+        ap.armed = False
+        ap.spin(1.2)
+        r = ap.request(uavcan.protocol.RestartNode.Request(magic_number=0xACCE551B1F))
+        check(r is not None and not r.ok, "no restart without the magic number")
+        r = ap.request(uavcan.protocol.RestartNode.Request(magic_number=0xACCE551B1E))
+        check(r is not None and r.ok, "disarmed: restart is granted")
+        first, code = finish(process, ap.spin)
+        check(code == 75, "and happens (%s)" % code)
+
+        process = start(program, "--seconds", "60", "--state", state, "--set", "VIO_CANFD=%d" % fd)
+        ap.spin(1.5)
+        check(get_set(ap, "VIO_RATE").value.integer_value == 28, "the saved value is in force after the restart")
+        check(opcode(1) and not os.path.exists(path), "erases")
+        check(get_set(ap, "VIO_RATE").value.integer_value == 30, "and is back at the default")
+        ap.request(uavcan.protocol.RestartNode.Request(magic_number=0xACCE551B1E))
+        second, code = finish(process, ap.spin)
+        check(second["reset_counter"] > first["reset_counter"],
+              "the reset counter goes on over a restart: %d, %d" % (first["reset_counter"], second["reset_counter"]))
+        check(first["errors"] <= LATE_START and second["errors"] <= LATE_START, "transport errors: %d, %d" % (first["errors"], second["errors"]))
+        ap.node.close()
+
+
+def allocation(program):
+    print("dynamic node id")
+    ap = EmulatedAutopilot(source=125)
+    monitor = dronecan.app.node_monitor.NodeMonitor(ap.node)
+    server = dronecan.app.dynamic_node_id.CentralizedServer(ap.node, monitor)
+    process = start(program, "--seconds", "9", "--set", "VIO_NODE_ID=0")
+    result, code = finish(process, ap.spin)
+    entries = {node: bytes(uid) for uid, node in server.get_allocation_table() if uid}
+    check(code == 0 and 1 <= result["node_id"] <= 125 and result["node_id"] in entries,
+          "pydronecan's allocator gave us %d" % result["node_id"])
+    ap.source = result["node_id"]
+    ap.node.close()
+
+
+# ---- poses ----------------------------------------------------------------------------------------------------------
+
+def rotation(q):
+    w, x, y, z = q
+    return [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+
+
+def mul(a, b):
+    return [[sum(a[i][k] * b[k][j] for k in range(3)) for j in range(len(b[0]))] for i in range(3)]
+
+
+def column(v):
+    return [[x] for x in v]
+
+
+def transpose(a):
+    return [list(r) for r in zip(*a)]
+
+
+def cross(a, b):
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+# The mounting and turn rate of godwit_link_peer.
+C, D = math.cos(0.35), math.sin(0.35)
+BODY_CAM = [[0, -D, C], [1, 0, 0], [0, C, D]]
+ARM, RATES = [0.2, 0.05, -0.1], [0.1, -0.05, 0.2]
+FRD = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+
+
+def expected(line):
+    """Position, rotation, body velocity in LOCAL_FRD / BODY_FRD from a line of the poses file, by our own arithmetic."""
+    v = [float(x) for x in line[2:]]
+    world_cam = rotation(v[3:7])
+    world_body = mul(world_cam, transpose(BODY_CAM))
+    arm_world = [-x[0] for x in mul(world_body, column(ARM))]  # from the camera to the body's origin
+    position = [p + a for p, a in zip(v[0:3], arm_world)]
+    rate_world = [x[0] for x in mul(world_cam, column(RATES))]
+    velocity = [a + b for a, b in zip(v[7:10], cross(rate_world, arm_world))]
+    local_body = mul(FRD, world_body)
+    body_velocity = [x[0] for x in mul(transpose(world_body), column(velocity))]
+    return [x[0] for x in mul(FRD, column(position))], local_body, body_velocity
+
+
+def odometry(program, seconds, fd):
+    print("ODOMETRY for %d s over %s frames" % (seconds, "CAN FD" if fd else "classic"))
+    with tempfile.TemporaryDirectory() as folder:
+        poses = os.path.join(folder, "poses")
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        ap.node.set_canfd(fd)
+        process = start(program, "--seconds", str(seconds), "--poses", poses, "--state", folder,
+                        "--reset", str(seconds * 0.6), "--set", "VIO_CANFD=%d" % fd, "--set", "VIO_TEL_FD=%d" % fd)
+        result, code = finish_after(process, ap, seconds)
+        lines = {int(w[0]): w for w in (line.split() for line in open(poses))}
+        ap.node.close()
+    check(code == 0, "ran to its end")
+    messages = sniffer.messages()
+    samples = [(t, m) for t, m in messages if m.get_type() == "ODOMETRY"]
+    span = samples[-1][0] - samples[0][0]
+    rate = (len(samples) - 1) / span
+    check(abs(rate - 30) <= 0.5, "ODOMETRY at %.3f Hz over %.1f s" % (rate, span))
+
+    worst = [0.0, 0.0, 0.0]
+    unknown = 0
+    for _, m in samples:
+        line = lines.get(m.time_usec)
+        if line is None:
+            unknown += 1
+            continue
+        position, turn, velocity = expected(line)
+        worst[0] = max(worst[0], max(abs(a - b) for a, b in zip(position, (m.x, m.y, m.z))))
+        got = rotation(m.q)
+        worst[1] = max(worst[1], max(abs(a - b) for r, s in zip(turn, got) for a, b in zip(r, s)))
+        worst[2] = max(worst[2], max(abs(a - b) for a, b in zip(velocity, (m.vx, m.vy, m.vz))))
+    check(unknown == 0, "every message carries the capture time of a frame")
+    check(worst[0] < 1e-5 and worst[1] < 1e-6 and worst[2] < 1e-5,
+          "fields equal the trajectory: %.1e m, %.1e, %.1e m/s" % tuple(worst))
+    metric = [m.quality for _, m in samples]
+    check(min(metric) == max(metric) == 99, "quality %d to %d" % (min(metric), max(metric)))
+
+    rules = VisionRules()
+    for t, m in samples:
+        rules.take(t, m)
+    # Intervals are those of this machine's scheduler as much as ours (link_node_test.cpp checks ours to the nanosecond):
+    # on a busy one a few samples may come bunched, on an idle one none.
+    bunched = [r for r in rules.refused if "ms" in r[1]]
+    other = [r for r in rules.refused if "ms" not in r[1]]
+    check(not other and rules.fused + len(bunched) == len(samples) and len(bunched) <= len(samples) // 20,
+          "the emulated autopilot takes %d of %d: refused %s" % (rules.fused, len(samples), rules.refused[:3]))
+    check(rules.resets == 1, "and sees the one reset")
+    check(ap.questions_answered > seconds and len(ap.answers_to_us) > seconds,
+          "TIMESYNC both ways: %d questions of ours, %d answers to the autopilot" % (ap.questions_answered, len(ap.answers_to_us)))
+    offsets = [abs(tc1 / 1e9 - time.monotonic()) for _, tc1 in ap.answers_to_us]
+    check(max(offsets) < seconds + 30, "answered with our clock")
+    arrival = sorted(1e3 * (t - m.time_usec * 1e-6) for t, m in samples)
+    middle = arrival[len(arrival) // 2]
+    check(abs(result["latency_p50_ms"] - result["round_trip_ms"] / 2 - middle) < 10,
+          "latency p50 %.2f p99 %.2f ms as the link reckons it, %.2f ms seen on the bus" % (result["latency_p50_ms"], result["latency_p99_ms"], middle))
+    correction = 245 * 10 / 921600 * 1e3
+    check(abs(result["viso_delay_ms"] - max(0.0, result["latency_min_ms"] - correction)) <= 0.51,
+          "VISO_DELAY_MS %d for a least latency of %.2f ms" % (result["viso_delay_ms"], result["latency_min_ms"]))
+    check(any("VISO_DELAY_MS" in text for text in ap.texts), "and says so: %s" % [t for t in ap.texts if "VISO" in t][:1])
+    check(any("tracking" in text for text in ap.texts), "tells its state: %s" % ap.texts[:2])
+    print("      pose to last frame: p50 %.3f p99 %.3f ms of processor time (p99 %.3f ms on the clock)" %
+          (result["own_p50_ms"], result["own_p99_ms"], result["wall_p99_ms"]))
+    check(result["bus_load"] <= 25, "bus load %.1f %% of 1 Mbit/s" % result["bus_load"])
+    check(ap.intervals.keys() >= {31, 132, 32, 33} and 27 not in ap.intervals, "asks for messages: %s" % sorted(ap.intervals))
+    for name in ("attitude", "range", "local", "global", "imu", "pressure", "time"):
+        check(result[name] > 3 * (seconds - 4), "input %s: %d" % (name, result[name]))
+    check(result["errors"] <= LATE_START and result["replaced"] == 0, "nothing was lost")
+    telemetry = [f for f in sniffer.frames if not f[2]]
+    check(len(telemetry) >= (1 if fd else 7) * 9 * (seconds - 2), "%d telemetry frames" % len(telemetry))
+
+
+def finish_after(process, ap, seconds):
+    ap.spin(seconds)
+    return finish(process, ap.spin)
+
+
+def lost_and_stalled(program):
+    print("lost from 3 to 4 s, pictures missing from 6 to 7 s")
+    with tempfile.TemporaryDirectory() as folder:
+        poses = os.path.join(folder, "poses")
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        process = start(program, "--seconds", "9", "--poses", poses, "--lost", "3:4", "--stall", "6:7")
+        finish_after(process, ap, 9)
+        lines = [w.split() for w in open(poses)]
+        ap.node.close()
+    samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    lost = [int(w[0]) for w in lines if w[1] == "4"]
+    good = {int(w[0]) for w in lines if w[1] != "4"}
+    first = [m for _, m in samples if m.time_usec == lost[0]]
+    check(len(first) == 1 and first[0].quality == -1, "quality -1 with the very frame that was lost")
+    wrong = [m for _, m in samples if m.quality > 0 and m.time_usec not in good]
+    check(not wrong, "no good quality without a good pose")
+    check(all((m.x, m.y, m.z, m.vx) == (0, 0, 0, 0) and m.pose_covariance[0] == 1e4 for _, m in samples if m.quality < 0),
+          "without a pose the fields are neutral and sigma is 100 m")
+    seen = [(m.x, m.y, m.z) for _, m in samples if m.quality > 0]
+    check(len(seen) == len(set(seen)), "no pose was sent twice")
+    gaps = [b[0] - a[0] for a, b in zip(samples, samples[1:])]
+    check(max(gaps) < 0.5, "the stream goes on all the time (longest gap %.0f ms)" % (1e3 * max(gaps)))
+
+    before = [int(w[0]) for w in lines]
+    gap_at = max(range(1, len(before)), key=lambda i: before[i] - before[i - 1])
+    last = before[gap_at - 1] * 1e-6 + 0.005  # when the last pose before the silence was published
+    statuses = [(t, x.payload) for t, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+    errors = [t for t, s in statuses if s.health == 2]
+    # To the nanosecond in link_node_test.cpp; here a busy machine may add its own delay.
+    check(errors and errors[0] - last < 0.300, "health ERROR %.1f ms after the last pose" % (1e3 * (errors[0] - last)))
+    check(statuses[-1][1].health == 0, "and OK again afterwards")
+    reasons = [s.vendor_specific_status_code for t, s in statuses if s.health == 2]
+    check(all(r & 8 for r in reasons), "reason: no new poses")
+    good_times = sorted(t for t, m in samples if m.quality > 0)
+    back = good_times[bisect.bisect(good_times, last + 0.1)]
+    check(back - last < 1.0 + 0.5, "poses again %.0f ms after the pictures came back" % (1e3 * (back - last - 1.0)))
+
+
+def unscaled(program):
+    print("without scale")
+    sniffer, ap = Sniffer(0), EmulatedAutopilot()
+    process = start(program, "--seconds", "4", "--no-scale", "--set", "VIO_REQ_POSE=1")
+    finish_after(process, ap, 4)
+    ap.node.close()
+    samples = [m for _, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    check(len(samples) > 90 and all(m.quality == -1 and m.x == 0 for m in samples), "quality -1 and no position")
+    check(any(abs(m.q[3]) > 0.05 for m in samples), "but the attitude, which gravity gives")
+    statuses = [x.payload for _, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+    check(statuses[-1].health == 1, "VIO_REQ_POSE: the node is not healthy before it has a pose")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program")
+    parser.add_argument("--seconds", type=int, default=12, help="length of the ODOMETRY run")
+    parser.add_argument("--only", default="")
+    args = parser.parse_args()
+    cases = {"services": lambda: (services(args.program, False), services(args.program, True)),
+             "allocation": lambda: allocation(args.program),
+             "odometry": lambda: odometry(args.program, args.seconds, False),
+             "odometry_fd": lambda: odometry(args.program, args.seconds, True),
+             "lost": lambda: lost_and_stalled(args.program),
+             "unscaled": lambda: unscaled(args.program)}
+    for name, case in cases.items():
+        if not args.only or name in args.only.split(","):
+            case()
+    print("%d failed" % len(FAILURES))
+    return 1 if FAILURES else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
