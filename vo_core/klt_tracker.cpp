@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <hwy/highway.h>
 #include <vector>
 
 namespace godwit::vo {
 namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
 
 /// Patch of edge P with what an iteration needs.
 template <int P>
@@ -18,11 +21,15 @@ struct Template {
   bool valid = false;
 };
 
-/// Sum of the lanes in one fixed order: the same result whatever the vector width.
-template <int P>
-float sum(const std::array<float, P>& lanes) {
+using Lanes = hn::CappedTag<float, 8>;
+using Vector = hn::Vec<Lanes>;
+
+/// Sum of the lanes in one fixed order.
+float sum(Vector v) {
+  alignas(64) std::array<float, 8> lanes{};
+  hn::Store(v, Lanes(), lanes.data());
   float s = 0;
-  for (float v : lanes) s += v;
+  for (float x : lanes) s += x;
   return s;
 }
 
@@ -36,33 +43,51 @@ Vec2f from_level(const Vec2f& px, int level) {
   return (px.array() + 0.5f) * s - 0.5f;
 }
 
-/// Bilinear samples of a W x W window whose first sample lies at (x, y). False if it leaves the picture.
+/// The W x W window whose first sample lies at (x, y) can be sampled. Written so that a NaN is refused too.
 template <int W>
-bool sample(const rt::ImageView& image, float x, float y, float* out) {
-  const float xf = std::floor(x), yf = std::floor(y);
-  // Written so that a NaN is refused too.
-  if (!(xf >= 0.0f && yf >= 0.0f && xf + W < static_cast<float>(image.width) &&
-        yf + W < static_cast<float>(image.height)))
-    return false;
-  const float ax = x - xf, ay = y - yf;
-  const std::uint8_t* row = image.row(static_cast<int>(yf)) + static_cast<int>(xf);
-  alignas(64) float above[W], below[W];
-  for (int i = 0; i < W; ++i) {
-    const float a = row[i], b = row[i + 1];
-    above[i] = a + ax * (b - a);
-  }
+bool inside(const rt::ImageView& image, float x, float y) {
+  return x >= 0.0f && y >= 0.0f && x + W < static_cast<float>(image.width) && y + W < static_cast<float>(image.height);
+}
+
+/// Bilinear samples of a window that lies inside.
+template <int W>
+void sample(const rt::ImageView& image, float x, float y, float* out) {
+  const float xf = std::floor(x), yf = std::floor(y), ax = x - xf, ay = y - yf;
   for (int j = 0; j < W; ++j) {
-    row += image.stride;
+    const std::uint8_t* row = image.row(static_cast<int>(yf) + j) + static_cast<int>(xf);
+    const std::uint8_t* next = row + image.stride;
     for (int i = 0; i < W; ++i) {
-      const float a = row[i], b = row[i + 1];
-      below[i] = a + ax * (b - a);
-    }
-    for (int i = 0; i < W; ++i) {
-      out[j * W + i] = above[i] + ay * (below[i] - above[i]);
-      above[i] = below[i];
+      const float a = row[i], b = row[i + 1], c = next[i], d = next[i + 1];
+      const float above = a + ax * (b - a), below = c + ax * (d - c);
+      out[j * W + i] = above + ay * (below - above);
     }
   }
-  return true;
+}
+
+/// The same, handed to visit(k, v) vector by vector; v holds the samples from number k on. P: a multiple of the lanes.
+template <int P, typename Visit>
+void visit_samples(const rt::ImageView& image, float x, float y, const Visit& visit) {
+  constexpr Lanes d;
+  constexpr hn::Rebind<std::uint8_t, Lanes> d8;
+  constexpr hn::Rebind<std::int32_t, Lanes> d32;
+  const float xf = std::floor(x), yf = std::floor(y);
+  const Vector ax = hn::Set(d, x - xf), ay = hn::Set(d, y - yf);
+  const auto blend = [&](const std::uint8_t* p) {
+    const Vector a = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, p)));
+    const Vector b = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, p + 1)));
+    return hn::MulAdd(ax, hn::Sub(b, a), a);
+  };
+  const int step = static_cast<int>(hn::Lanes(d));
+  for (int i = 0; i < P; i += step) {
+    const std::uint8_t* row = image.row(static_cast<int>(yf)) + static_cast<int>(xf) + i;
+    Vector above = blend(row);
+    for (int j = 0; j < P; ++j) {
+      row += image.stride;
+      const Vector below = blend(row);
+      visit(j * P + i, hn::MulAdd(ay, hn::Sub(below, above), above));
+      above = below;
+    }
+  }
 }
 
 template <int P>
@@ -71,7 +96,9 @@ bool make_template(const rt::ImageView& image, const Vec2f& px, float min_eigenv
   constexpr int W = P + 2;
   constexpr float n = P * P;
   std::array<float, W * W> window;
-  if (!sample<W>(image, px.x() - P / 2 - 1, px.y() - P / 2 - 1, window.data())) return false;
+  const float x = px.x() - P / 2 - 1, y = px.y() - P / 2 - 1;
+  if (!inside<W>(image, x, y)) return false;
+  sample<W>(image, x, y, window.data());
   float mean = 0, mean_x = 0, mean_y = 0;
   for (int j = 0; j < P; ++j) {
     for (int i = 0; i < P; ++i) {
@@ -120,22 +147,20 @@ enum class Outcome { kConverged, kNotConverged, kOutside };
 /// Moves *px (of the image's level) onto the patch. Where it left the picture, *px is what it was.
 template <int P>
 Outcome align(const rt::ImageView& image, const Template<P>& t, int max_iterations, float converged_px, Vec2f* px) {
-  alignas(64) std::array<float, P * P> patch;
+  constexpr Lanes d;
   const Vec2f start = *px;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    if (!sample<P>(image, px->x() - P / 2, px->y() - P / 2, patch.data())) {
+    const float x = px->x() - P / 2, y = px->y() - P / 2;
+    if (!inside<P>(image, x, y)) {
       *px = start;
       return Outcome::kOutside;
     }
-    alignas(64) std::array<float, P> sx{}, sy{};
-    for (int j = 0; j < P; ++j) {
-      for (int i = 0; i < P; ++i) {
-        const int k = j * P + i;
-        sx[i] += t.gx[k] * patch[k];
-        sy[i] += t.gy[k] * patch[k];
-      }
-    }
-    const float bx = sum<P>(sx), by = sum<P>(sy);
+    Vector sx = hn::Zero(d), sy = hn::Zero(d);
+    visit_samples<P>(image, x, y, [&](int k, Vector v) {
+      sx = hn::MulAdd(hn::Load(d, &t.gx[static_cast<std::size_t>(k)]), v, sx);
+      sy = hn::MulAdd(hn::Load(d, &t.gy[static_cast<std::size_t>(k)]), v, sy);
+    });
+    const float bx = sum(sx), by = sum(sy);
     const Vec2f step(t.inv_xx * bx + t.inv_xy * by, t.inv_xy * bx + t.inv_yy * by);
     *px -= step;
     if (!((*px - start).squaredNorm() < static_cast<float>(P * P))) return Outcome::kNotConverged;
@@ -146,21 +171,19 @@ Outcome align(const rt::ImageView& image, const Template<P>& t, int max_iteratio
 
 template <int P>
 float correlation(const rt::ImageView& image, const Template<P>& t, const Vec2f& px) {
-  alignas(64) std::array<float, P * P> patch;
-  if (!sample<P>(image, px.x() - P / 2, px.y() - P / 2, patch.data())) return -1.0f;
-  alignas(64) std::array<float, P> s{}, ss{}, st{};
-  for (int j = 0; j < P; ++j) {
-    for (int i = 0; i < P; ++i) {
-      const int k = j * P + i;
-      s[i] += patch[k];
-      ss[i] += patch[k] * patch[k];
-      st[i] += patch[k] * t.intensity[k];
-    }
-  }
-  const float mean = sum<P>(s) / (P * P);
-  const float variance = sum<P>(ss) - mean * mean * (P * P);
+  constexpr Lanes d;
+  const float x = px.x() - P / 2, y = px.y() - P / 2;
+  if (!inside<P>(image, x, y)) return -1.0f;
+  Vector s = hn::Zero(d), ss = hn::Zero(d), st = hn::Zero(d);
+  visit_samples<P>(image, x, y, [&](int k, Vector v) {
+    s = hn::Add(s, v);
+    ss = hn::MulAdd(v, v, ss);
+    st = hn::MulAdd(hn::Load(d, &t.intensity[static_cast<std::size_t>(k)]), v, st);
+  });
+  const float mean = sum(s) / (P * P);
+  const float variance = sum(ss) - mean * mean * (P * P);
   if (variance < 1.0f) return -1.0f;
-  return sum<P>(st) / (std::sqrt(variance) * t.norm);
+  return sum(st) / (std::sqrt(variance) * t.norm);
 }
 
 }  // namespace
