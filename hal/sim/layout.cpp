@@ -527,7 +527,7 @@ void Layout::corridor() {
   }
   wear(x0, y0 - kHalf, x1, y0 + kHalf, 90);
   wear(x1 - kHalf, y0, x1 + kHalf, y1, 60);
-  const Cover wall{kTexConcrete, kConcreteTexelsPerM, 1.05, 0, 0, false};
+  const Cover wall{kTexPlaster, kConcreteTexelsPerM, 1.05, 0, 0, false};
   const auto hang = [&](Mesh* m, const Vec3& a, const Vec3& along, const Vec3& inside, double length) {
     // A run of wall from a, seen from inside left to right, in pieces with something on each.
     const Vec3 up(0, 0, kHigh);

@@ -1,5 +1,6 @@
 // The procedural materials: walls with windows, roofs, leaves, cars, clothes, posters.
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "hal/sim/texture.h"
@@ -10,10 +11,11 @@ namespace {
 Canvas detail(std::uint64_t seed) {
   Canvas c(1024);
   c.fill(128, 128);
-  for (const int cell : {32, 16, 8, 4, 2}) c.noise(cell, cell >= 8 ? 0.30 : 0.38, mix(seed, 1), false);
+  c.noise(std::array{32, 16, 8}, 0.20, mix(seed, 1), false);
+  c.noise(std::array{4, 2}, 0.24, mix(seed, 1), false);
   Rng rng(seed, 2);
   for (int i = 0; i < 5000; ++i) {  // pebbles, blades, stains
-    c.disc(rng.uniform(0, 1024), rng.uniform(0, 1024), rng.uniform(0.8, 4.0), rng.chance(0.5) ? 40 : 220, 128);
+    c.disc(rng.uniform(0, 1024), rng.uniform(0, 1024), rng.uniform(0.8, 3.5), rng.chance(0.5) ? 70 : 190, 128);
   }
   return c;
 }
@@ -34,9 +36,9 @@ Canvas facade(std::uint64_t seed, int style, bool night) {
   } else if (style == 3) {
     for (int y = 0; y < 512; y += 8) c.box(0, y, 512, y + 1.5, 160, 40);
   }
-  c.noise(128, 0.15, mix(seed, 3), false);
-  c.noise(16, 0.10, mix(seed, 4), false);
-  c.noise(2, 0.10, mix(seed, 5), false);
+  c.noise(std::array{128}, 0.15, mix(seed, 3), false);
+  c.noise(std::array{16}, 0.10, mix(seed, 4), false);
+  c.noise(std::array{2}, 0.10, mix(seed, 5), false);
   for (int floor = 0; floor < 5; ++floor) {  // v runs down from the top of the wall's picture
     const double y = floor * 102.4 + 24;
     if (style != 3) c.box(0, floor * 102.4, 512, floor * 102.4 + 4, wall * 0.7, 40);
@@ -68,8 +70,8 @@ Canvas roof(std::uint64_t seed, int style) {
       c.box(x + 0.6, row + 2.2, x + 7.4, row + 9.6, b, 80);
     }
   }
-  c.noise(64, 0.2, mix(seed, 6), false);
-  c.noise(4, 0.15, mix(seed, 7), false);
+  c.noise(std::array{64}, 0.2, mix(seed, 6), false);
+  c.noise(std::array{4}, 0.15, mix(seed, 7), false);
   return c;
 }
 
@@ -82,14 +84,14 @@ Canvas foliage(std::uint64_t seed, int style) {
     const double b = 20 + 125.0 * i / 5200.0 * rng.uniform(0.5, 1.2);
     c.rect(x, y, std::cos(a), std::sin(a), rng.uniform(2, 5), rng.uniform(1, 2.2), b, 100);
   }
-  c.noise(32, 0.35, mix(seed, 8), false);
+  c.noise(std::array{32}, 0.35, mix(seed, 8), false);
   return c;
 }
 
 Canvas plain(std::uint64_t seed, double brightness, double grain, double noise) {
   Canvas c(256);
   c.fill(brightness, grain);
-  for (const int cell : {64, 16, 4, 2}) c.noise(cell, noise, mix(seed, static_cast<std::uint64_t>(cell)), false);
+  c.noise(std::array{64, 16, 4, 2}, noise, seed, false);
   return c;
 }
 
@@ -196,14 +198,14 @@ Canvas cloth(std::uint64_t seed, int style) {
     const double x = rng.uniform(0, 128);
     c.box(x, 0, x + 3, 128, rng.uniform(30, 90), 20);
   }
-  c.noise(8, 0.2, mix(seed, 61), false);
+  c.noise(std::array{8}, 0.2, mix(seed, 61), false);
   return c;
 }
 
 Canvas cloud(std::uint64_t seed) {
   Canvas c(256);
   c.fill(190, 0);
-  for (const int cell : {64, 32, 16, 8, 4}) c.noise(cell, 0.012 * std::sqrt(cell) * 2.0, mix(seed, 70), false);
+  for (const int cell : {64, 32, 16, 8, 4}) c.noise(std::array{cell}, 0.024 * std::sqrt(cell), mix(seed, 70), false);
   return c;
 }
 
@@ -254,7 +256,7 @@ Canvas tiles(std::uint64_t seed) {
   for (int y = 0; y < 256; y += 32) {
     for (int x = 0; x < 256; x += 32) c.box(x + 1, y + 1, x + 31, y + 31, 165 + rng.uniform(-28, 28), 50);
   }
-  c.noise(4, 0.08, mix(seed, 91), false);
+  c.noise(std::array{4}, 0.08, mix(seed, 91), false);
   return c;
 }
 
@@ -269,7 +271,8 @@ std::vector<Texture> make_materials(std::uint64_t seed, const Canvas& ground, bo
   for (int i = 0; i < 2; ++i) out.emplace_back(roof(seed, i));
   for (int i = 0; i < 2; ++i) out.emplace_back(foliage(seed, i));
   out.emplace_back(bark(seed));
-  out.emplace_back(plain(mix(seed, 41), 165, 90, 0.12));
+  out.emplace_back(plain(mix(seed, 41), 165, 70, 0.07));
+  out.emplace_back(plain(mix(seed, 43), 165, 24, 0.035));
   out.emplace_back(car_side());
   out.emplace_back(car_top());
   out.emplace_back(car_end());

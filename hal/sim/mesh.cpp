@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include "hal/sim/texture.h"
 
@@ -116,16 +117,34 @@ void Mesh::blob(const Vec3& centre, double radius_across, double radius_up, doub
     const double k = 1 + crumple * (2 * Rng(salt, key(d.x()) + (key(d.y()) << 16) + (key(d.z()) << 32)).uniform() - 1);
     return Vec3(centre + k * Vec3(d.x() * radius_across, d.y() * radius_across, d.z() * radius_up));
   };
+  // Leaves are laid on from the six sides: few materials a tree, so that a pixel's neighbours are shaded together.
+  const std::uint32_t first_surface = static_cast<std::uint32_t>(surfaces.size());
+  for (int side = 0; side < 6; ++side) {
+    const int axis = side / 2;
+    const Vec3 normal = (side % 2 == 0 ? 1.0 : -1.0) * Vec3::Unit(axis);
+    Cover shifted = cover;
+    shifted.u0 = rng->uniform(0, 256);
+    shifted.v0 = rng->uniform(0, 256);
+    surfaces.push_back(lay(shifted, centre, Vec3::Unit((axis + 1) % 3), Vec3::Unit((axis + 2) % 3), normal));
+  }
   for (const auto& f : kFaces) {
     const Vec3 a = corner[static_cast<std::size_t>(f[0])].normalized(),
                b = corner[static_cast<std::size_t>(f[1])].normalized(),
                c = corner[static_cast<std::size_t>(f[2])].normalized();
     const Vec3 ab = (a + b).normalized(), bc = (b + c).normalized(), ca = (c + a).normalized();
-    Cover shifted = cover;
     for (const auto& t : {std::array<Vec3, 3>{a, ab, ca}, {ab, b, bc}, {ca, bc, c}, {ab, bc, ca}}) {
-      shifted.u0 = rng->uniform(0, 256);
-      shifted.v0 = rng->uniform(0, 256);
-      triangle(place(t[0]), place(t[1]), place(t[2]), shifted);
+      std::array<Vec3, 3> p = {place(t[0]), place(t[1]), place(t[2])};
+      Vec3 normal = (p[1] - p[0]).cross(p[2] - p[0]);
+      if (normal.dot(p[0] - centre) < 0) {  // face outwards
+        std::swap(p[1], p[2]);
+        normal = -normal;
+      }
+      int axis = 0;
+      normal.cwiseAbs().maxCoeff(&axis);
+      const std::uint32_t first = static_cast<std::uint32_t>(vertices.size());
+      for (const Vec3& q : p) vertices.push_back(q.cast<float>());
+      triangles.push_back(
+          {{first, first + 1, first + 2}, first_surface + static_cast<std::uint32_t>(2 * axis + (normal[axis] < 0))});
     }
   }
 }

@@ -416,6 +416,11 @@ void Renderer::cast_mover_shadows(double) {
         const double z = 1.0 / static_cast<double>(inverse_depth_[i]);
         const Vec3 p = pose_.R_world_cam * Vec3(rays_.x[i] * z, rays_.y[i] * z, z) + pose_.position_m - at;
         const Vec2 g = p.head<2>();
+        if (!sun) {  // from all sides: darkest under its middle
+          const double a = g.dot(ahead) / (1.3 * model.half_length_m), b = g.dot(left) / (1.3 * model.half_width_m);
+          radiance_[i] *= 1 - static_cast<float>(std::max(0.0, 1 - a * a - b * b)) * (1 - dark);
+          continue;
+        }
         double low = 0, high = model.height_m;
         for (const auto& [axis, half] : {std::pair{ahead, model.half_length_m}, {left, model.half_width_m}}) {
           const double s = g.dot(axis), rate = cast.dot(axis);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "hal/sim/random.h"
@@ -24,11 +25,11 @@ class Canvas {
   /// Axis-aligned rectangle from (x0, y0) to (x1, y1).
   void box(double x0, double y0, double x1, double y1, double brightness, double grain);
   void disc(double cx, double cy, double radius, double brightness, double grain);
-  /// Multiplies brightness by 1 + amplitude * noise, noise of zero mean in about [-1, 1] whose blobs are cell texels
-  /// wide (a power of two), weighted by grain / 128 where by_grain.
-  void noise(int cell, double amplitude, std::uint64_t seed, bool by_grain);
-  /// Multiplies the brightness of one texel.
-  void scale(int x, int y, double factor);
+  /// Multiplies brightness by 1 + amplitude * noise, noise of zero mean whose blobs are cell texels wide (a power of
+  /// two), summed over all cells, weighted by grain / 128 where by_grain.
+  void noise(std::span<const int> cells, double amplitude, std::uint64_t seed, bool by_grain);
+  /// Multiplies the brightness of one row, texel by texel.
+  void scale_row(int y, std::span<const float> factors);
 
   std::uint8_t brightness(int x, int y) const { return brightness_[index(x, y)]; }
   std::uint8_t grain(int x, int y) const { return grain_[index(x, y)]; }
@@ -45,14 +46,14 @@ class Canvas {
   std::vector<std::uint8_t> brightness_, grain_;
 };
 
-/// A finished picture. Texel (x, y) of level l: low byte brightness, high byte grain, at
-/// texels[offset[l] + y * stride[l] + x]; each level has one more column and row, copies of the first, so that bilinear
-/// taps need no wrap. At least two texels follow the last.
+/// A finished picture. Each 32-bit texel holds what a bilinear lookup needs, so that one load serves it: the halved
+/// brightness (7 bits, dithered) of the texel (x, y) in bits 0-6, of (x + 1, y) in 7-13, of (x, y + 1) in 14-20 and of
+/// (x + 1, y + 1) in 21-27, and its grain / 16 in 28-31. Level l is texels[offset[l] + y * (size >> l) + x].
 struct Texture {
   static constexpr int kMaxLevels = 14;
   int size = 0, levels = 0;
-  int offset[kMaxLevels] = {}, stride[kMaxLevels] = {};
-  std::vector<std::uint16_t> texels;
+  int offset[kMaxLevels] = {};
+  std::vector<std::uint32_t> texels;
 
   explicit Texture(const Canvas& canvas);
 };
@@ -71,6 +72,7 @@ enum TextureId : int {
   kTexFoliage1,
   kTexBark,
   kTexConcrete,
+  kTexPlaster,
   kTexCarSide,
   kTexCarTop,
   kTexCarEnd,

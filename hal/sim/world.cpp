@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -53,8 +54,8 @@ double World::irradiance(const Vec3& normal, const Vec3& at) const {
 
 void World::light_ground(Canvas* ground) const {
   // Grain first: noise of all sizes, stronger where the material is rough; then light over it.
-  for (const int cell : {512, 128, 32}) ground->noise(cell, 0.10, mix(seed_, 0x901), true);
-  for (const int cell : {8, 4, 2, 1}) ground->noise(cell, 0.26, mix(seed_, 0x902), true);
+  ground->noise(std::array{512, 128, 32}, 0.10, mix(seed_, 0x901), true);
+  ground->noise(std::array{8, 4, 2, 1}, 0.17, mix(seed_, 0x902), true);
   if (plan_.kind == WorldKind::kCorridor) return;
 
   const int n = ground->size();
@@ -114,22 +115,24 @@ void World::light_ground(Canvas* ground) const {
       }
     }
   }
-  const double dark = plan_.ambient * 0.9;
+  const float dark = static_cast<float>(plan_.ambient * 0.9);
+  const int run = n / kLightCells;  // texels a cell
+  std::vector<float> light(static_cast<std::size_t>(n));
   for (int y = 0; y < n; ++y) {
-    const double gy = (y + 0.5) * texel / step;
-    const int j = static_cast<int>(gy);
-    const double v = gy - j;
+    const int j = y / run;
+    const float v = (static_cast<float>(y % run) + 0.5f) / static_cast<float>(run);
     const auto row = [&](int k) { return &grid[static_cast<std::size_t>((k % kLightCells) * kLightCells)]; };
     const float *r0 = row(j), *r1 = row(j + 1);
-    for (int x = 0; x < n; ++x) {
-      const double gx = (x + 0.5) * texel / step;
-      const int i = static_cast<int>(gx), i1 = (i + 1) % kLightCells;
-      const double u = gx - i;
-      double light = (1 - v) * ((1 - u) * r0[i] + u * r0[i1]) + v * ((1 - u) * r1[i] + u * r1[i1]);
-      if (shadow[static_cast<std::size_t>(y) * static_cast<std::size_t>(n) + static_cast<std::size_t>(x)] != 0)
-        light *= dark;
-      ground->scale(x, y, light);
+    const std::uint8_t* shaded = &shadow[static_cast<std::size_t>(y) * static_cast<std::size_t>(n)];
+    for (int i = 0; i < kLightCells; ++i) {
+      const int i1 = (i + 1) % kLightCells;
+      const float a = r0[i] + v * (r1[i] - r0[i]), b = r0[i1] + v * (r1[i1] - r0[i1]);
+      for (int k = 0; k < run; ++k) {
+        const float value = a + (static_cast<float>(k) + 0.5f) / static_cast<float>(run) * (b - a);
+        light[static_cast<std::size_t>(i * run + k)] = shaded[i * run + k] != 0 ? value * dark : value;
+      }
     }
+    ground->scale_row(y, light);
   }
 }
 
