@@ -316,15 +316,15 @@ void Layout::residential() {
 }
 
 void Layout::fields(bool snow) {
-  ground_.fill(snow ? 205 : 105, snow ? 7 : 120);
+  ground_.fill(snow ? 205 : 105, snow ? 22 : 120);
   const double base[] = {70, 95, 125, 150, 110, 84};
   const int nx = 8, ny = 10;
   const double wx = kWorldM / nx, wy = kWorldM / ny;
   for (int j = 0; j < ny; ++j) {
     for (int i = 0; i < nx; ++i) {
       const double x = (i + 0.5) * wx, y = (j + 0.5) * wy;
-      const double b = snow ? rng_.uniform(198, 212) : base[rng_.below(6)] + rng_.uniform(-10, 10);
-      paint(x, y, 1, 0, wx / 2, wy / 2, b, snow ? rng_.uniform(5, 9) : rng_.uniform(70, 128));
+      const double b = snow ? rng_.uniform(186, 212) : base[rng_.below(6)] + rng_.uniform(-10, 10);
+      paint(x, y, 1, 0, wx / 2, wy / 2, b, snow ? rng_.uniform(14, 30) : rng_.uniform(70, 128));
       if (snow) continue;
       const double spacing = rng_.uniform(0.7, 2.2);
       const bool along = rng_.chance(0.5);
@@ -355,7 +355,7 @@ void Layout::fields(bool snow) {
   }
   for (int i = 0; i <= nx; i += 2) {  // farm tracks with a grass strip
     const double x = i * wx;
-    paint(x, kWorldM / 2, 0, 1, kWorldM / 2, 1.9, snow ? 196 : 165, snow ? 10 : 110);
+    paint(x, kWorldM / 2, 0, 1, kWorldM / 2, 1.9, snow ? 178 : 165, snow ? 30 : 110);
     if (!snow) paint(x, kWorldM / 2, 0, 1, kWorldM / 2, 0.4, 100, 128);
   }
   if (!snow) road_x(0, 3.2, 2);
@@ -372,15 +372,20 @@ void Layout::fields(bool snow) {
   }
   if (snow) {
     // Little to hold on to: a fence here and there, dry stalks, a few spoors.
-    for (int i = 0; i < static_cast<int>(60 * trees); ++i)
+    for (int i = 0; i < static_cast<int>(260 * trees); ++i)
       bush(rng_.uniform(0, kWorldM), rng_.uniform(0, kWorldM), rng_.uniform(0.2, 0.6));
-    for (int i = 0; i < 24; ++i) {
+    for (int i = 0; i < 60; ++i) {
       const double x = rng_.uniform(0, kWorldM), y = rng_.uniform(0, kWorldM), a = rng_.uniform(0, 2 * kPi);
       for (int k = 0; k < 90; ++k) {
         const double side = k % 2 == 0 ? 0.15 : -0.15, bend = a + 0.4 * std::sin(k * 0.07);
         spot(x + 0.45 * k * std::cos(bend) - side * std::sin(bend),
-             y + 0.45 * k * std::sin(bend) + side * std::cos(bend), 0.14, 172, 10);
+             y + 0.45 * k * std::sin(bend) + side * std::cos(bend), 0.15, 150, 20);
       }
+    }
+    for (int i = 0; i < 1500; ++i) {  // drifts: the wind's long soft ridges
+      const double a = 0.5 + rng_.uniform(-0.25, 0.25);
+      paint(rng_.uniform(0, kWorldM), rng_.uniform(0, kWorldM), std::cos(a), std::sin(a), rng_.uniform(0.6, 5),
+            rng_.uniform(0.05, 0.2), rng_.chance(0.5) ? 222 : 182, 22);
     }
     for (int i = 0; i < 5; ++i) {
       const double y = rng_.uniform(0, kWorldM);
@@ -416,7 +421,7 @@ void Layout::plaza() {
           rng_.below(4));
     if (k % 2 == 0) tree(c + 36 * std::cos(a + 0.1), c + 36 * std::sin(a + 0.1), rng_.uniform(1.6, 2.4));
     crate(c + 27 * std::cos(a), c + 27 * std::sin(a), a, 0.3, 1.0, 0.45, kTexConcrete, 0.6);
-    if (k % 4 == 1) lamp(c + 18 * std::cos(a), c + 18 * std::sin(a));
+    if (k % 3 == 1) lamp(c + 20 * std::cos(a), c + 18 * std::sin(a));
   }
   for (int k = 0; k < 8; ++k) {
     const double a = 2 * kPi * k / 8 + 0.3;
