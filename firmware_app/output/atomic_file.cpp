@@ -34,10 +34,16 @@ rt::Result<void> AtomicFile::write(std::string_view text) {
   return {};
 }
 
+rt::Result<void> AtomicFile::flush() {
+  if (std::fflush(out_) != 0 || fsync(fileno(out_)) != 0) return fail("cannot be written");
+  return {};
+}
+
 rt::Result<void> AtomicFile::commit() {
   // The file's own name must not appear before its contents are on the disk: some file systems would otherwise keep the
   // rename and lose the data when power fails.
-  if (std::fflush(out_) != 0 || fsync(fileno(out_)) != 0) return fail("cannot be written");
+  auto flushed = flush();
+  if (!flushed) return flushed;
   if (std::rename(part().c_str(), file_.c_str()) != 0) return fail("cannot be renamed");
   std::FILE* const done = out_;
   out_ = nullptr;

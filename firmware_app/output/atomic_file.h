@@ -21,7 +21,9 @@ class AtomicFile {
   /// Error of each: the file and the reason. After an error the file is closed and nothing of it is left.
   rt::Result<void> open(const std::string& file);
   rt::Result<void> write(std::string_view text);
-  /// Flushes to the disk and gives the file its name.
+  /// Brings everything to the disk, still as NAME.part. What can fail for want of room fails here.
+  rt::Result<void> flush();
+  /// Flushes and gives the file its name.
   rt::Result<void> commit();
 
   const std::string& file() const { return file_; }

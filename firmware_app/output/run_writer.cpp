@@ -192,6 +192,11 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
   line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
   j += fmt::format("  \"peak_memory_mb\": {:.1f}\n}}\n", peak_memory_mb());
   auto written = summary_.write(j);
+  // All to the disk before the first gets its name: a disk that fills up at the second would leave one file of a failed
+  // run behind.
+  for (AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
+    if (written.ok()) written = file->flush();
+  }
   for (AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
     if (written.ok()) written = file->commit();
   }

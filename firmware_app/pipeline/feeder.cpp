@@ -26,6 +26,7 @@ Feeder::Outcome Feeder::read(int slot, rt::TimeNs timeout_ns, rt::FrameHandle* h
     record->fate = FrameFate::kBadPicture;
     record->reason.assign(why_);
   } else {
+    pool_->count_drop();
     record->fate = FrameFate::kDroppedSlots;
     record->reason.assign("no frame slot was free");
   }

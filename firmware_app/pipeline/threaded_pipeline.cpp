@@ -62,7 +62,7 @@ int ThreadedPipeline::acquire_patiently() {
   if (newest_frame_) return pool_->acquire();
   const rt::TimeNs give_up = rt::monotonic_now_ns() + kPatienceNs;
   while (rt::monotonic_now_ns() < give_up && !stop_.load(std::memory_order_relaxed)) {
-    const int slot = pool_->try_acquire();
+    const int slot = pool_->acquire();
     if (slot >= 0) return slot;
     feeder_wake_.wait_for(rt::kNsPerMs);
   }

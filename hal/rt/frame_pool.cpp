@@ -73,7 +73,7 @@ void FramePool::collect() {
   }
 }
 
-int FramePool::try_acquire() {
+int FramePool::acquire() {
   collect();
   for (int i = 0; i < layout_.slots; ++i) {
     const int slot = (next_ + i) % layout_.slots;
@@ -85,12 +85,6 @@ int FramePool::try_acquire() {
     return slot;
   }
   return -1;
-}
-
-int FramePool::acquire() {
-  const int slot = try_acquire();
-  if (slot < 0) exhausted_.fetch_add(1, std::memory_order_relaxed);
-  return slot;
 }
 
 void FramePool::hand_out(int slot, int references) {

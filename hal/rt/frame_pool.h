@@ -66,11 +66,10 @@ class FramePool {
   /// Allocates and touches everything. Error: a size or number out of range, or no memory.
   static Result<std::unique_ptr<FramePool>> create(const Layout& layout);
 
-  /// Owner. A free slot, or -1 if there is none: the newest frame is then dropped, which is counted here. Collects what
-  /// the readers gave back. No allocation, bounded.
+  /// Owner. A free slot, or -1 if there is none. Collects what the readers gave back. No allocation, bounded.
   int acquire();
-  /// Owner. The same without counting a drop: for a feeder that may wait until there is room.
-  int try_acquire();
+  /// Owner. Counts a picture that was due while there was no slot: the newest frame is the one that is dropped.
+  void count_drop() { exhausted_.fetch_add(1, std::memory_order_relaxed); }
   /// Owner. The slot's frame leaves with this many references (1 or more). Push the handle into the rings after it.
   void hand_out(int slot, int references);
   /// Owner. Takes an acquired slot back that was never handed out (bad picture).

@@ -1,0 +1,133 @@
+// godwit-yardstick SEQUENCE: the tracker's cost in units that do not depend on the machine.
+//
+// The yardstick Y is the median thread CPU time of one cv::calcOpticalFlowPyrLK of 180 corners between two successive
+// frames (goodFeaturesToTrack(180, 0.01, 15) on the earlier one; window 21 x 21, three pyramid levels above the
+// picture, at most 30 iterations or a step below 0.01 px; pyramids built inside; one thread). Yardstick and tracker are
+// timed in turn, frame by frame, so that both see the same machine. Decoding, corner choice and copies lie outside both
+// times.
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <CLI/Validators.hpp>
+#include <fmt/format.h>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/video/tracking.hpp>
+#include <vector>
+
+#include "firmware_app/config.h"
+#include "firmware_app/output/statistics.h"
+#include "firmware_app/pipeline/feeder.h"
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/pipeline/threaded_pipeline.h"
+#include "hal/camera/replay/replay_camera.h"
+
+namespace {
+
+using namespace godwit;
+
+constexpr int kCorners = 180;
+
+/// Thread CPU time [ms] of the flow from the earlier to the later picture; below 0 if the earlier one has no corners.
+double time_yardstick(const cv::Mat& earlier, const cv::Mat& later) {
+  std::vector<cv::Point2f> corners, found;
+  cv::goodFeaturesToTrack(earlier, corners, kCorners, 0.01, 15);
+  if (corners.empty()) return -1;
+  std::vector<unsigned char> status;
+  std::vector<float> error;
+  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 30, 0.01);
+  const rt::TimeNs begin = rt::thread_cpu_now_ns();
+  cv::calcOpticalFlowPyrLK(earlier, later, corners, found, status, error, cv::Size(21, 21), 3, criteria);
+  return rt::to_ms(rt::thread_cpu_now_ns() - begin);
+}
+
+void print_row(const char* name, const app::Statistics& s, double y) {
+  fmt::print("{:24s} {:8.3f} {:8.3f} {:8.3f} {:8.3f} {:8.3f}   {:6.2f} {:6.2f} {:6.2f} {:6.2f}\n", name, s.median,
+             s.p95, s.p99, s.max, s.mean, s.median / y, s.p95 / y, s.p99 / y, s.mean / y);
+}
+
+int run(const std::string& sequence, const hal::ReplayOptions& replay) {
+  auto camera = hal::ReplayCamera::open(sequence, replay);
+  if (!camera) {
+    fmt::print(stderr, "godwit-yardstick: {}\n", camera.error().message);
+    return 2;
+  }
+  auto model = app::make_camera_model(camera.value()->calibration());
+  if (!model) {
+    fmt::print(stderr, "godwit-yardstick: {}\n", model.error().message);
+    return 2;
+  }
+  rt::FramePool::Layout layout;
+  layout.width = camera.value()->width();
+  layout.height = camera.value()->height();
+  layout.pyramid_bytes = app::odometry_pyramid_bytes(layout.width, layout.height);
+  layout.slots = app::odometry_frame_slots();
+  layout.readers = app::kFrameReaders;
+  auto pool = rt::FramePool::create(layout);
+  if (!pool) {
+    fmt::print(stderr, "godwit-yardstick: {}\n", pool.error().message);
+    return 2;
+  }
+  app::OdometryOptions odometry;
+  odometry.mapper_delay_frames = app::Config{}.pipeline.mapper_delay_frames;
+  const auto stage = app::make_odometry_stage(model.value(), odometry, pool.value().get());
+  app::Feeder feeder(camera.value().get(), pool.value().get());
+
+  cv::setNumThreads(1);
+  std::vector<double> yardstick, tracking, mapping, both;
+  cv::Mat earlier, later;
+  int frames = 0, tracked = 0;
+  while (true) {
+    rt::FrameHandle handle;
+    app::FrameRecord record;
+    const auto outcome = feeder.read(pool.value()->acquire(), rt::kNsPerSecond, &handle, &record);
+    if (outcome == app::Feeder::Outcome::kEnd) break;
+    if (outcome != app::Feeder::Outcome::kFrame) continue;
+    ++frames;
+    // A copy: the slot goes to the tracker, and the yardstick needs this picture again with the next.
+    const rt::MutableImageView grey = pool.value()->grey(handle.slot);
+    cv::Mat(grey.height, grey.width, CV_8UC1, grey.data, static_cast<std::size_t>(grey.stride)).copyTo(later);
+    if (!earlier.empty()) {
+      const double ms = time_yardstick(earlier, later);
+      if (ms >= 0) yardstick.push_back(ms);
+    }
+    app::track_frame(stage.get(), handle, &record);
+    const rt::TimeNs before = rt::thread_cpu_now_ns();
+    while (stage->map_step()) {
+    }
+    const double mapping_ms = rt::to_ms(rt::thread_cpu_now_ns() - before);
+    if (record.tracked) {
+      ++tracked;
+      tracking.push_back(rt::to_ms(record.thread_cpu_ns));
+      mapping.push_back(mapping_ms);
+      both.push_back(tracking.back() + mapping_ms);
+    }
+    cv::swap(earlier, later);
+  }
+  if (yardstick.empty() || tracking.empty()) {
+    fmt::print(stderr, "godwit-yardstick: {}: {} frames, {} tracked: nothing to compare\n", sequence, frames, tracked);
+    return 1;
+  }
+  const app::Statistics y = app::statistics_of(yardstick);
+  fmt::print("{} frames, {} tracked ({:.2f} %); thread CPU time, tracked frames only\n", frames, tracked,
+             100.0 * tracked / frames);
+  fmt::print("{:24s} {:>8s} {:>8s} {:>8s} {:>8s} {:>8s}   {:>6s} {:>6s} {:>6s} {:>6s}\n", "[ms | in Y]", "median",
+             "p95", "p99", "max", "mean", "median", "p95", "p99", "mean");
+  print_row("yardstick (Y = median)", y, y.median);
+  print_row("tracking", app::statistics_of(tracking), y.median);
+  print_row("mapping", app::statistics_of(mapping), y.median);
+  print_row("tracking and mapping", app::statistics_of(both), y.median);
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App cli("Times the tracker against a workload of known size, frame by frame in one run.", "godwit-yardstick");
+  std::string sequence;
+  hal::ReplayOptions replay;
+  cli.add_option("SEQUENCE", sequence, "Folder in TUM or EuRoC layout")->required();
+  cli.add_option("--start", replay.start, "Leave out the first N pictures")->check(CLI::NonNegativeNumber);
+  cli.add_option("--frames", replay.frames, "Stop after N pictures (default: all)")->check(CLI::PositiveNumber);
+  CLI11_PARSE(cli, argc, argv);
+  return run(sequence, replay);
+}

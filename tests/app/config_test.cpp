@@ -1,0 +1,80 @@
+#include "firmware_app/config.h"
+
+#include <cstdlib>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/support/temp_folder.h"
+
+namespace godwit::app {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::SizeIs;
+
+TEST(Config, AnEmptyFileGivesTheDefaults) {
+  const ConfigReport report = parse_config("", "c.toml");
+  ASSERT_TRUE(report.ok());
+  EXPECT_EQ(report.config.pipeline.frame_slots, Config{}.pipeline.frame_slots);
+  EXPECT_EQ(report.config.pipeline.mapper_delay_frames, Config{}.pipeline.mapper_delay_frames);
+}
+
+TEST(Config, ReadsEveryKey) {
+  const ConfigReport report = parse_config("[pipeline]\nframe_slots = 40\nmapper_delay_frames = 7\n", "c.toml");
+  ASSERT_TRUE(report.ok()) << report.mistakes[0];
+  EXPECT_EQ(report.config.pipeline.frame_slots, 40);
+  EXPECT_EQ(report.config.pipeline.mapper_delay_frames, 7);
+}
+
+TEST(Config, TellsAllMistakesAtOnceInTheOrderOfTheFile) {
+  const ConfigReport report = parse_config(
+      "zebra = 1\n"
+      "[pipeline]\n"
+      "mapper_delay_frames = 99\n"
+      "frame_slot = 5\n"
+      "frame_slots = \"many\"\n"
+      "[aardvark]\n"
+      "x = 1\n",
+      "c.toml");
+  ASSERT_THAT(report.mistakes, SizeIs(5));
+  EXPECT_THAT(report.mistakes[0], HasSubstr("c.toml:1: zebra: unknown key"));
+  EXPECT_EQ(report.mistakes[1], "c.toml:3: pipeline.mapper_delay_frames: a whole number from 1 to 30 is allowed");
+  EXPECT_THAT(report.mistakes[2],
+              HasSubstr("c.toml:4: pipeline.frame_slot: unknown key; the nearest known key is pipeline.frame_slots"));
+  EXPECT_EQ(report.mistakes[3], "c.toml:5: pipeline.frame_slots: a whole number from 0 to 128 is allowed");
+  EXPECT_THAT(report.mistakes[4], HasSubstr("c.toml:6: aardvark: unknown key"));
+}
+
+TEST(Config, WrongKindsOfValuesAreMistakes) {
+  for (const char* value : {"1.5", "true", "[1]", "{a = 1}", "1979-05-27", "-1", "9223372036854775807", "nan"}) {
+    const ConfigReport report = parse_config(std::string("[pipeline]\nframe_slots = ") + value + "\n", "c.toml");
+    EXPECT_THAT(report.mistakes, ElementsAre(HasSubstr("c.toml:2: pipeline.frame_slots: a whole number"))) << value;
+  }
+  EXPECT_THAT(parse_config("pipeline = 3\n", "c.toml").mistakes,
+              ElementsAre("c.toml:1: pipeline: a section, [pipeline], is allowed"));
+}
+
+TEST(Config, WhatIsNotTomlIsToldWithItsLine) {
+  EXPECT_THAT(parse_config("[pipeline]\nframe_slots == 3\n", "c.toml").mistakes,
+              ElementsAre(HasSubstr("c.toml:2: not TOML")));
+  EXPECT_THAT(parse_config("a = 1\na = 2\n", "c.toml").mistakes, ElementsAre(HasSubstr("c.toml:2: not TOML")));
+  EXPECT_THAT(parse_config("\xff\xfe", "c.toml").mistakes, ElementsAre(HasSubstr("not TOML")));
+}
+
+TEST(Config, AFileThatIsNotThereIsAMistake) {
+  EXPECT_THAT(load_config("/nowhere/c.toml").mistakes, ElementsAre("/nowhere/c.toml: No such file or directory"));
+  EXPECT_THAT(load_config("/").mistakes, SizeIs(1)) << "a folder is no file";
+}
+
+TEST(Config, TheCommentedFileHoldsExactlyTheDefaults) {
+  const char* root = std::getenv("GODWIT_SOURCE_DIR");
+  ASSERT_NE(root, nullptr) << "ctest sets GODWIT_SOURCE_DIR";
+  const ConfigReport report = load_config(std::string(root) + "/config/godwit.toml");
+  ASSERT_TRUE(report.ok()) << report.mistakes[0];
+  EXPECT_EQ(report.config.pipeline.frame_slots, Config{}.pipeline.frame_slots);
+  EXPECT_EQ(report.config.pipeline.mapper_delay_frames, Config{}.pipeline.mapper_delay_frames);
+}
+
+}  // namespace
+}  // namespace godwit::app

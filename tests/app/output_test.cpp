@@ -1,0 +1,282 @@
+#include <csignal>
+#include <filesystem>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sstream>
+#include <sys/resource.h>
+
+#include "firmware_app/output/atomic_file.h"
+#include "firmware_app/output/run_writer.h"
+#include "firmware_app/output/statistics.h"
+#include "tests/support/temp_folder.h"
+
+namespace godwit::app {
+namespace {
+
+using test::read_file;
+using test::TempFolder;
+using test::write_file;
+using testing::HasSubstr;
+namespace fs = std::filesystem;
+
+/// Lets files grow to this many bytes only: writing beyond fails, as on a full disk.
+class FileSizeLimit {
+ public:
+  explicit FileSizeLimit(rlim_t bytes) {
+    std::signal(SIGXFSZ, SIG_IGN);
+    getrlimit(RLIMIT_FSIZE, &before_);
+    rlimit limit = before_;
+    limit.rlim_cur = bytes;
+    setrlimit(RLIMIT_FSIZE, &limit);
+  }
+  ~FileSizeLimit() { setrlimit(RLIMIT_FSIZE, &before_); }
+
+ private:
+  rlimit before_{};
+};
+
+std::vector<std::string> lines_of(const std::string& text) {
+  std::vector<std::string> lines;
+  std::istringstream in(text);
+  for (std::string line; std::getline(in, line);) lines.push_back(line);
+  return lines;
+}
+
+std::vector<std::string> fields_of(const std::string& line) {
+  std::vector<std::string> fields(1);
+  bool quoted = false;
+  for (const char c : line) {
+    if (c == '"')
+      quoted = !quoted;
+    else if (c == ',' && !quoted)
+      fields.emplace_back();
+    else
+      fields.back() += c;
+  }
+  return fields;
+}
+
+std::string field(const std::string& header, const std::string& line, const std::string& name) {
+  const auto names = fields_of(header), values = fields_of(line);
+  EXPECT_EQ(names.size(), values.size()) << line;
+  for (std::size_t i = 0; i < names.size() && i < values.size(); ++i) {
+    if (names[i] == name) return values[i];
+  }
+  ADD_FAILURE() << "no column " << name;
+  return {};
+}
+
+FrameRecord tracked_frame(std::uint32_t sequence) {
+  FrameRecord r;
+  r.sequence = sequence;
+  r.tracked = r.has_pose = true;
+  r.map_id = 1;
+  r.features = 123;
+  r.state = "TRACKING";
+  r.t_source_ns = 1403636584763555584 + static_cast<rt::TimeNs>(sequence) * 50'000'000;
+  r.wall_ns = 2'000'000;
+  r.thread_cpu_ns = 1'500'000;
+  r.mapper_cpu_ns = 500'000;
+  r.t_world_cam = {0.1, -1e-17, 1.0 / 3.0};
+  r.q_world_cam = {0, 0, 0, 1};
+  return r;
+}
+
+TEST(AtomicFile, AppearsOnlyWhenWhole) {
+  const TempFolder folder;
+  AtomicFile file;
+  ASSERT_TRUE(file.open(folder / "a.txt").ok());
+  ASSERT_TRUE(file.write("hello\n").ok());
+  EXPECT_FALSE(fs::exists(folder / "a.txt"));
+  ASSERT_TRUE(file.commit().ok());
+  EXPECT_EQ(read_file(folder / "a.txt"), "hello\n");
+  EXPECT_FALSE(fs::exists(folder / "a.txt.part"));
+}
+
+TEST(AtomicFile, LeavesNothingWhenAbandoned) {
+  const TempFolder folder;
+  {
+    AtomicFile file;
+    ASSERT_TRUE(file.open(folder / "a.txt").ok());
+    ASSERT_TRUE(file.write("half").ok());
+  }
+  EXPECT_TRUE(fs::is_empty(folder.path()));
+}
+
+TEST(AtomicFile, AFullDiskIsToldAndLeavesNothing) {
+  const TempFolder folder;
+  AtomicFile file;
+  ASSERT_TRUE(file.open(folder / "a.txt").ok());
+  std::string error;
+  {
+    const FileSizeLimit limit(10'000);
+    const std::string block(4096, 'x');
+    for (int i = 0; i < 100 && error.empty(); ++i) {
+      const auto written = file.write(block);
+      if (!written.ok()) error = written.error().message;
+    }
+  }
+  EXPECT_THAT(error, HasSubstr("a.txt: cannot be written: File too large"));
+  EXPECT_TRUE(fs::is_empty(folder.path()));
+}
+
+TEST(AtomicFile, AFailureInTheLastFlushIsTold) {
+  const TempFolder folder;
+  AtomicFile file;
+  ASSERT_TRUE(file.open(folder / "a.txt").ok());
+  ASSERT_TRUE(file.write("buffered").ok()) << "still in memory";
+  const FileSizeLimit limit(3);
+  const auto committed = file.commit();
+  ASSERT_FALSE(committed.ok());
+  EXPECT_THAT(committed.error().message, HasSubstr("cannot be written"));
+  EXPECT_TRUE(fs::is_empty(folder.path()));
+}
+
+TEST(Statistics, PercentilesInterpolateAsNumpy) {
+  const Statistics s = statistics_of({4, 1, 3, 2});
+  EXPECT_DOUBLE_EQ(s.median, 2.5);
+  EXPECT_DOUBLE_EQ(s.p95, 3.85);
+  EXPECT_DOUBLE_EQ(s.p99, 3.97);
+  EXPECT_EQ(s.max, 4);
+  EXPECT_EQ(s.mean, 2.5);
+  EXPECT_EQ(statistics_of({7}).p99, 7);
+  EXPECT_EQ(statistics_of({}).max, 0);
+  EXPECT_GT(peak_memory_mb(), 1.0);
+}
+
+TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
+  const TempFolder folder;
+  RunWriter writer;
+  ASSERT_TRUE(writer.open(folder / "out", false).ok());
+  FrameRecord first = tracked_frame(0);
+  first.tracked = first.has_pose = false;
+  first.state = "INITIALISING";
+  first.reason.assign("parallax too small: 33 of 100");
+  FrameRecord bad;
+  bad.sequence = 2;
+  bad.fate = FrameFate::kBadPicture;
+  bad.t_source_ns = tracked_frame(2).t_source_ns;
+  bad.reason.assign("rgb/2.png: \"cut off\", really");
+  FrameRecord coasted = tracked_frame(3);
+  coasted.tracked = false;
+  coasted.state = "COASTING";
+  for (const FrameRecord& r : {first, tracked_frame(1), bad, coasted, tracked_frame(4)})
+    ASSERT_TRUE(writer.take(r).ok());
+  ASSERT_TRUE(writer.finish({"1.2.3", "a \"quoted\" folder", "sequential", "max", 7}).ok());
+
+  const auto trajectory = lines_of(read_file(folder / "out/trajectory.tum"));
+  ASSERT_EQ(trajectory.size(), 3u) << "a comment and two tracked frames";
+  EXPECT_EQ(trajectory[1], "1403636584.813555584 0.1 -1e-17 0.3333333333333333 0 0 0 1 1");
+
+  const auto frames = lines_of(read_file(folder / "out/frames.csv"));
+  ASSERT_EQ(frames.size(), 6u);
+  EXPECT_THAT(frames[0], testing::StartsWith("t,ms,thread_cpu_ms,proc_cpu_ms,tracked,map_id,state,features,"));
+  EXPECT_EQ(field(frames[0], frames[1], "t"), "1403636584.763555584");
+  EXPECT_EQ(field(frames[0], frames[1], "tracked"), "0");
+  EXPECT_EQ(field(frames[0], frames[1], "map_id"), "") << "empty when untracked";
+  EXPECT_EQ(field(frames[0], frames[1], "reason"), "parallax too small: 33 of 100");
+  EXPECT_EQ(field(frames[0], frames[2], "map_id"), "1");
+  EXPECT_EQ(field(frames[0], frames[2], "ms"), "2.0000");
+  EXPECT_EQ(field(frames[0], frames[2], "thread_cpu_ms"), "1.5000");
+  EXPECT_EQ(field(frames[0], frames[2], "proc_cpu_ms"), "2.0000") << "tracking and mapping";
+  EXPECT_EQ(field(frames[0], frames[2], "age_ms"), "") << "capture times of a replay are no moments of this clock";
+  EXPECT_EQ(field(frames[0], frames[3], "fate"), "bad");
+  EXPECT_EQ(field(frames[0], frames[3], "state"), "TRACKING") << "the state that holds meanwhile";
+  EXPECT_EQ(field(frames[0], frames[4], "tracked"), "0") << "a coasted pose is not tracked";
+
+  const auto poses = lines_of(read_file(folder / "out/pose.csv"));
+  ASSERT_EQ(poses.size(), 4u) << "two tracked and one coasted";
+  EXPECT_EQ(field(poses[0], poses[2], "state"), "COASTING");
+  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u);
+
+  const std::string summary = read_file(folder / "out/summary.json");
+  EXPECT_THAT(summary, HasSubstr("\"frames\": 5,"));
+  EXPECT_THAT(summary, HasSubstr("\"tracked\": 2,"));
+  EXPECT_THAT(summary, HasSubstr("\"tracked_share\": 0.400000,"));
+  EXPECT_THAT(summary, HasSubstr("\"tracked_share_after_first_pose\": 0.500000,"));
+  EXPECT_THAT(summary, HasSubstr("\"first_pose_after_frames\": 1,"));
+  EXPECT_THAT(summary, HasSubstr("\"first_pose_after_ms\": 50.000,"));
+  EXPECT_THAT(summary, HasSubstr("\"bad_pictures\": 1,"));
+  EXPECT_THAT(summary, HasSubstr("\"sequence\": \"a \\\"quoted\\\" folder\""));
+}
+
+TEST(RunWriter, AtRealPaceTheAgeOfAPoseIsTold) {
+  const TempFolder folder;
+  RunWriter writer;
+  ASSERT_TRUE(writer.open(folder.path(), true).ok());
+  FrameRecord r = tracked_frame(0);
+  r.t_capture_ns = 5'000'000'000;
+  r.t_done_ns = 5'003'000'000;
+  ASSERT_TRUE(writer.take(r).ok());
+  ASSERT_TRUE(writer.finish({}).ok());
+  const auto frames = lines_of(read_file(folder / "frames.csv"));
+  EXPECT_EQ(field(frames[0], frames[1], "age_ms"), "3.0000");
+}
+
+TEST(RunWriter, ARunWithoutAnyPoseHasASummaryToo) {
+  const TempFolder folder;
+  RunWriter writer;
+  ASSERT_TRUE(writer.open(folder.path(), false).ok());
+  ASSERT_TRUE(writer.finish({}).ok());
+  EXPECT_THAT(read_file(folder / "summary.json"), HasSubstr("\"first_pose_after_frames\": null,"));
+}
+
+TEST(RunWriter, ResultsOfAnEarlierRunDoNotOutliveAFailedOne) {
+  const TempFolder folder;
+  write_file(folder / "summary.json", "{}");
+  write_file(folder / "frames.csv", "old");
+  {
+    RunWriter writer;
+    ASSERT_TRUE(writer.open(folder.path(), false).ok());
+    ASSERT_TRUE(writer.take(tracked_frame(0)).ok());
+  }
+  EXPECT_TRUE(fs::is_empty(folder.path())) << "neither old files nor half a new one";
+}
+
+TEST(RunWriter, AFullDiskEndsTheRunAndLeavesNothing) {
+  const TempFolder folder;
+  std::string error;
+  {
+    RunWriter writer;
+    ASSERT_TRUE(writer.open(folder.path(), false).ok());
+    const FileSizeLimit limit(20'000);
+    for (std::uint32_t i = 0; i < 1000 && error.empty(); ++i) {
+      const auto taken = writer.take(tracked_frame(i));
+      if (!taken.ok()) error = taken.error().message;
+    }
+  }
+  EXPECT_THAT(error, HasSubstr("cannot be written: File too large"));
+  EXPECT_TRUE(fs::is_empty(folder.path()));
+}
+
+TEST(RunWriter, ADiskThatFillsUpInTheLastFlushLeavesNothingEither) {
+  const TempFolder folder;
+  std::string error;
+  {
+    RunWriter writer;
+    ASSERT_TRUE(writer.open(folder.path(), false).ok());
+    FrameRecord untracked = tracked_frame(0);
+    untracked.tracked = untracked.has_pose = false;
+    for (int i = 0; i < 10; ++i) ASSERT_TRUE(writer.take(untracked).ok()) << "buffered";
+    const FileSizeLimit limit(512);  // trajectory.tum, a line of comment, still fits
+    const auto finished = writer.finish({});
+    ASSERT_FALSE(finished.ok());
+    error = finished.error().message;
+  }
+  EXPECT_THAT(error, HasSubstr("frames.csv: cannot be written: File too large"));
+  EXPECT_TRUE(fs::is_empty(folder.path()));
+}
+
+TEST(RunWriter, RefusesAFolderThatCannotBe) {
+  const TempFolder folder;
+  write_file(folder / "file", "x");
+  RunWriter in_file;
+  EXPECT_FALSE(in_file.open(folder / "file", false).ok());
+  RunWriter below_file;
+  const auto opened = below_file.open(folder / "file/below", false);
+  ASSERT_FALSE(opened.ok());
+  EXPECT_THAT(opened.error().message, HasSubstr("file/below: cannot be created"));
+}
+
+}  // namespace
+}  // namespace godwit::app

@@ -1,0 +1,247 @@
+// The pipeline with a camera and a stage made for the test: order, drops, back pressure, ends. Also run under the
+// thread sanitizer.
+#include "firmware_app/pipeline/pipeline.h"
+
+#include <gtest/gtest.h>
+#include <set>
+#include <vector>
+
+#include "hal/rt/rt_scope.h"
+#include "hal/rt/spsc_ring.h"
+#include "hal/rt/wake_up.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr int kWidth = 64, kHeight = 64;
+
+/// Pictures with their number in every pixel; some are bad, some never come at all.
+class FakeCamera final : public hal::Camera {
+ public:
+  explicit FakeCamera(std::uint32_t total) : total_(total) {}
+  std::set<std::uint32_t> bad;      ///< due, but not readable
+  std::set<std::uint32_t> skipped;  ///< numbers that the device leaves out
+  rt::TimeNs period_ns = 0;         ///< real pace, as ReplayCamera keeps it
+
+  int width() const override { return kWidth; }
+  int height() const override { return kHeight; }
+  int channels() const override { return 1; }
+  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t*, rt::TimeNs, hal::CapturedFrame* frame,
+                         std::string* why) override {
+    while (skipped.count(next_) != 0) ++next_;
+    if (next_ >= total_) return hal::CameraStatus::kEnd;
+    if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns();
+    frame->sequence = next_++;
+    frame->t_source_ns = static_cast<rt::TimeNs>(frame->sequence) * 1000;
+    frame->t_capture_ns = start_ns_ + static_cast<rt::TimeNs>(frame->sequence) * period_ns;
+    if (period_ns > 0) rt::sleep_until_ns(frame->t_capture_ns);
+    if (bad.count(frame->sequence) != 0) {
+      *why = "spoilt";
+      return hal::CameraStatus::kBadFrame;
+    }
+    if (grey.data == nullptr) return hal::CameraStatus::kFrame;
+    for (int y = 0; y < grey.height; ++y) {
+      for (int x = 0; x < grey.width; ++x) grey.row(y)[x] = static_cast<std::uint8_t>(frame->sequence);
+    }
+    return hal::CameraStatus::kFrame;
+  }
+
+ private:
+  const std::uint32_t total_;
+  std::uint32_t next_ = 0;
+  rt::TimeNs start_ns_ = 0;
+};
+
+/// Every second frame goes to the mapper, which keeps the last few, as keyframes are kept.
+class FakeStage final : public FrameStage {
+ public:
+  explicit FakeStage(rt::FramePool* pool)
+      : pool_(pool), tracker_return_(pool->reader(kTrackerReader)), mapper_return_(pool->reader(kMapperReader)) {}
+  rt::TimeNs track_ns = 0;  ///< how long a frame takes
+  int track_calls_outside_scope = 0;
+  std::uint64_t wrong_pixels = 0;  ///< tracker's own
+  std::uint64_t wrong_kept = 0;    ///< mapper's own
+  std::uint64_t mapped = 0;        ///< mapper's own
+
+  void track(const rt::FrameHandle& frame, FrameRecord* record) override {
+    if (!rt::in_rt_scope()) ++track_calls_outside_scope;
+    if (track_ns > 0) rt::sleep_until_ns(rt::monotonic_now_ns() + track_ns);
+    if (!intact(frame)) ++wrong_pixels;
+    record->state = "TRACKING";
+    record->tracked = record->has_pose = true;
+    const bool sent = frame.meta.sequence % 2 == 0 && to_mapper_.try_push(frame);
+    tracker_return_.give_back(frame.slot, sent ? 1 : 2);
+  }
+  int mapper_backlog() const override { return static_cast<int>(to_mapper_.size()); }
+  bool map_step() override {
+    rt::FrameHandle frame;
+    if (!to_mapper_.try_pop(&frame)) return false;
+    kept_.push_back(frame);
+    if (kept_.size() > 3) {
+      if (!intact(kept_.front())) ++wrong_kept;
+      mapper_return_.give_back(kept_.front().slot);
+      kept_.erase(kept_.begin());
+    }
+    ++mapped;
+    return true;
+  }
+
+ private:
+  bool intact(const rt::FrameHandle& frame) const {
+    const rt::ImageView grey = pool_->grey(frame.slot);
+    const auto expected = static_cast<std::uint8_t>(frame.meta.sequence);
+    return grey.at(0, 0) == expected && grey.at(kWidth - 1, kHeight - 1) == expected;
+  }
+
+  rt::FramePool* pool_;
+  rt::FrameReturn tracker_return_, mapper_return_;
+  rt::SpscRing<rt::FrameHandle, 8> to_mapper_;
+  std::vector<rt::FrameHandle> kept_;
+};
+
+class Collect final : public FrameSink {
+ public:
+  std::vector<FrameRecord> records;
+  std::size_t fail_at = SIZE_MAX;
+  std::size_t stop_at = SIZE_MAX;
+  std::atomic<bool>* stop = nullptr;
+  rt::Result<void> take(const FrameRecord& record) override {
+    if (records.size() == fail_at) return rt::Error{"the disk is full"};
+    records.push_back(record);
+    if (records.size() == stop_at) stop->store(true);
+    return {};
+  }
+};
+
+std::unique_ptr<rt::FramePool> make_pool(int slots) {
+  rt::FramePool::Layout layout;
+  layout.width = kWidth;
+  layout.height = kHeight;
+  layout.slots = slots;
+  layout.readers = kFrameReaders;
+  return std::move(rt::FramePool::create(layout)).value();
+}
+
+struct TestRun {
+  explicit TestRun(std::uint32_t frames, int slots = 12) : camera(frames), pool(make_pool(slots)), stage(pool.get()) {}
+  FakeCamera camera;
+  std::unique_ptr<rt::FramePool> pool;
+  FakeStage stage;
+  Collect sink;
+  std::atomic<bool> stop{false};
+  PipelineOptions options;
+  rt::Result<PipelineCounters> go() { return run_pipeline(&camera, &stage, pool.get(), options, &sink, stop); }
+};
+
+void expect_each_once_in_order(const std::vector<FrameRecord>& records, std::uint32_t frames) {
+  ASSERT_EQ(records.size(), frames);
+  for (std::uint32_t i = 0; i < frames; ++i) {
+    EXPECT_EQ(records[i].sequence, i);
+    EXPECT_EQ(records[i].t_source_ns, static_cast<rt::TimeNs>(i) * 1000) << "carried through unchanged";
+  }
+}
+
+class BothModes : public testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(Pipeline, BothModes, testing::Bool(),
+                         [](const auto& chosen) { return chosen.param ? "sequential" : "threads"; });
+
+TEST_P(BothModes, EveryPictureIsProcessedOnceAndInOrder) {
+  TestRun run(2000);
+  run.options.sequential = GetParam();
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  expect_each_once_in_order(run.sink.records, 2000);
+  EXPECT_EQ(counters.value().processed, 2000u);
+  EXPECT_EQ(counters.value().dropped_late + counters.value().dropped_slots, 0u) << "at full pace nothing is dropped";
+  EXPECT_EQ(run.stage.wrong_pixels, 0u);
+  EXPECT_EQ(run.stage.wrong_kept, 0u);
+  EXPECT_GT(run.stage.mapped, 0u);
+  EXPECT_EQ(run.stage.track_calls_outside_scope, 0) << "tracking is marked real-time";
+}
+
+TEST_P(BothModes, BadPicturesHaveTheirPlaceAndReason) {
+  TestRun run(50);
+  run.options.sequential = GetParam();
+  run.camera.bad = {0, 7, 8, 9, 49};
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  expect_each_once_in_order(run.sink.records, 50);
+  EXPECT_EQ(counters.value().bad, 5u);
+  EXPECT_EQ(counters.value().processed, 45u);
+  EXPECT_EQ(run.sink.records[8].fate, FrameFate::kBadPicture);
+  EXPECT_EQ(run.sink.records[8].reason.view(), "spoilt");
+  EXPECT_FALSE(run.sink.records[8].tracked);
+}
+
+TEST_P(BothModes, NumbersThatADeviceLeavesOutHoldNothingUp) {
+  TestRun run(30);
+  run.options.sequential = GetParam();
+  run.camera.skipped = {0, 3, 4, 29};
+  run.camera.bad = {5, 28};
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  ASSERT_EQ(run.sink.records.size(), 26u);
+  for (std::size_t i = 1; i < run.sink.records.size(); ++i) {
+    EXPECT_GT(run.sink.records[i].sequence, run.sink.records[i - 1].sequence);
+  }
+}
+
+TEST_P(BothModes, AnEmptyCameraEndsAtOnce) {
+  TestRun run(0);
+  run.options.sequential = GetParam();
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  EXPECT_EQ(counters.value().due, 0u);
+}
+
+TEST_P(BothModes, AFailingSinkEndsTheRunWithItsError) {
+  TestRun run(100'000'000);
+  run.options.sequential = GetParam();
+  run.sink.fail_at = 20;
+  const auto counters = run.go();
+  ASSERT_FALSE(counters.ok());
+  EXPECT_EQ(counters.error().message, "the disk is full");
+  EXPECT_EQ(run.sink.records.size(), 20u);
+}
+
+TEST_P(BothModes, StopEndsTheRun) {
+  TestRun run(100'000'000);
+  run.options.sequential = GetParam();
+  run.sink.stop = &run.stop;
+  run.sink.stop_at = 20;
+  ASSERT_TRUE(run.go().ok());
+  EXPECT_GE(run.sink.records.size(), 20u);
+}
+
+TEST(Pipeline, AtRealPaceTheNewestFrameWinsAndDropsAreCounted) {
+  TestRun run(60);
+  run.options.newest_frame = true;
+  run.camera.period_ns = 2 * rt::kNsPerMs;
+  run.stage.track_ns = 7 * rt::kNsPerMs;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  expect_each_once_in_order(run.sink.records, 60);
+  const PipelineCounters& c = counters.value();
+  EXPECT_EQ(c.processed + c.dropped_late + c.dropped_slots, 60u);
+  EXPECT_GT(c.dropped_late, 10u) << "three of four frames come while the tracker works";
+  EXPECT_GT(c.processed, 3u);
+  EXPECT_EQ(run.stage.wrong_pixels, 0u);
+}
+
+TEST(Pipeline, ExhaustedSlotsDropTheNewestFrameAndCountIt) {
+  // The mapper keeps three frames and the tracker works on one: with four slots the camera finds none now and then.
+  TestRun run(60, 4);
+  run.options.newest_frame = true;
+  run.camera.period_ns = rt::kNsPerMs;
+  run.stage.track_ns = 5 * rt::kNsPerMs;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  expect_each_once_in_order(run.sink.records, 60);
+  EXPECT_GT(counters.value().dropped_slots, 0u);
+  EXPECT_EQ(counters.value().dropped_slots, run.pool->exhausted());
+  EXPECT_EQ(run.stage.wrong_pixels, 0u);
+  EXPECT_EQ(run.stage.wrong_kept, 0u);
+}
+
+}  // namespace
+}  // namespace godwit::app

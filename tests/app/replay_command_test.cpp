@@ -1,0 +1,181 @@
+// The tool as a user runs it: arguments, refusals, exit codes, files.
+#include <array>
+#include <cstdio>
+#include <filesystem>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sstream>
+#include <sys/wait.h>
+
+#include "tests/support/tiny_sequence.h"
+
+namespace {
+
+namespace fs = std::filesystem;
+using godwit::test::read_file;
+using godwit::test::TempFolder;
+using godwit::test::write_file;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string text;  ///< both streams
+};
+
+Outcome godwit(const std::string& arguments, const std::string& before = "") {
+  Outcome outcome;
+  std::FILE* pipe = popen((before + "'" GODWIT_TOOL "' " + arguments + " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return outcome;
+  std::array<char, 4096> block{};
+  while (std::fgets(block.data(), static_cast<int>(block.size()), pipe) != nullptr) outcome.text += block.data();
+  const int status = pclose(pipe);
+  if (WIFEXITED(status)) outcome.exit_code = WEXITSTATUS(status);
+  return outcome;
+}
+
+std::size_t count_lines(const std::string& file) {
+  const std::string text = read_file(file);
+  return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
+}
+
+class Replay : public testing::Test {
+ protected:
+  void SetUp() override { godwit::test::write_tiny_tum(sequence(), 12); }
+  std::string sequence() const { return folder_ / "sequence"; }
+  std::string out() const { return folder_ / "out"; }
+  Outcome replay(const std::string& more) {
+    return godwit("replay '" + sequence() + "' --out '" + out() + "' " + more);
+  }
+  TempFolder folder_;
+};
+
+TEST(Tool, TellsItsVersionAndHelp) {
+  EXPECT_EQ(godwit("--version").exit_code, 0);
+  EXPECT_THAT(godwit("--version").text, testing::MatchesRegex("godwit [0-9]+\\.[0-9]+\\.[0-9]+\n"));
+  const Outcome help = godwit("--help");
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_THAT(help.text, AllOf(HasSubstr("replay"), HasSubstr("Exit codes: 0 done")));
+  const Outcome replay_help = godwit("replay --help");
+  EXPECT_EQ(replay_help.exit_code, 0);
+  for (const char* option : {"SEQUENCE", "--config", "--out", "--pace", "--sequential", "--start", "--frames",
+                             "--detector", "--gate", "--imu", "--model"}) {
+    EXPECT_THAT(replay_help.text, HasSubstr(option));
+  }
+}
+
+TEST(Tool, WrongArgumentsAreRefusedWithCode2) {
+  for (const char* arguments :
+       {"", "fly", "replay", "replay x --pace slow", "replay x --start -1", "replay x --frames 0",
+        "replay x --frames many", "replay x --unknown", "replay x --detector perhaps"}) {
+    EXPECT_EQ(godwit(arguments).exit_code, 2) << arguments;
+  }
+}
+
+TEST_F(Replay, WritesALineForEachPictureInBothModes) {
+  for (const char* mode : {"--sequential", "", "--pace real"}) {
+    const Outcome outcome = replay(mode);
+    EXPECT_EQ(outcome.exit_code, 0) << outcome.text;
+    EXPECT_THAT(outcome.text, HasSubstr("12 frames"));
+    EXPECT_EQ(count_lines(out() + "/frames.csv"), 13u) << mode;
+    for (const char* file : {"trajectory.tum", "pose.csv", "summary.json"}) EXPECT_TRUE(fs::exists(out() + "/" + file));
+    EXPECT_THAT(read_file(out() + "/frames.csv"), HasSubstr("\n100.050000001,"));
+    EXPECT_THAT(outcome.text, Not(HasSubstr("\r"))) << "no progress bar where there is no terminal";
+  }
+}
+
+TEST_F(Replay, StartAndFramesChooseAPart) {
+  ASSERT_EQ(replay("--sequential --start 3 --frames 4").exit_code, 0);
+  EXPECT_EQ(count_lines(out() + "/frames.csv"), 5u);
+  EXPECT_THAT(read_file(out() + "/summary.json"), HasSubstr("\"start\": 3,"));
+  const Outcome beyond = replay("--start 12");
+  EXPECT_EQ(beyond.exit_code, 2);
+  EXPECT_THAT(beyond.text, HasSubstr("lists 12 pictures"));
+}
+
+TEST_F(Replay, WhatDoesNotExistYetIsRefusedInWords) {
+  for (const char* option : {"--detector on", "--gate on", "--imu on", "--model x.onnx"}) {
+    const Outcome outcome = replay(option);
+    EXPECT_EQ(outcome.exit_code, 2) << option;
+    EXPECT_THAT(outcome.text, AllOf(HasSubstr(std::string(option).substr(0, 6)), HasSubstr("yet")));
+    EXPECT_FALSE(fs::exists(out()));
+  }
+  EXPECT_EQ(replay("--detector off --gate off --imu off --sequential").exit_code, 0);
+}
+
+TEST_F(Replay, BadPicturesAreCountedToldAndDoNotEndTheRun) {
+  fs::remove(sequence() + "/rgb/0004.png");
+  write_file(sequence() + "/rgb/0006.png", "text");
+  const Outcome outcome = replay("--sequential");
+  EXPECT_EQ(outcome.exit_code, 0);
+  EXPECT_THAT(outcome.text, AllOf(HasSubstr("2 pictures were not flown: 2 bad"), HasSubstr("0004.png: No such file")));
+  EXPECT_EQ(count_lines(out() + "/frames.csv"), 13u);
+  EXPECT_THAT(read_file(out() + "/summary.json"), HasSubstr("\"bad_pictures\": 2,"));
+}
+
+TEST_F(Replay, ASequenceOfOnePictureThatIsTextEndsCleanly) {
+  write_file(sequence() + "/rgb.txt", "1.0 rgb/0000.png\n");
+  write_file(sequence() + "/rgb/0000.png", "text");
+  const Outcome outcome = replay("");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.text;
+  EXPECT_THAT(outcome.text, AllOf(HasSubstr("1 frames, 0 tracked"), HasSubstr("no pose was found")));
+}
+
+TEST_F(Replay, ABadSequenceOrCalibrationIsRefusedAndNothingIsWritten) {
+  EXPECT_THAT(godwit("replay '" + (folder_ / "absent") + "' --out '" + out() + "'").text,
+              HasSubstr("absent: No such file"));
+  write_file(sequence() + "/camera.yaml", "model: pinhole\nwidth: 160\nheight: 120\nfx: .nan\n");
+  const Outcome calibration = replay("");
+  EXPECT_EQ(calibration.exit_code, 2);
+  EXPECT_THAT(calibration.text, HasSubstr("camera.yaml:4: fx: the number is not finite"));
+  write_file(sequence() + "/camera.yaml", godwit::test::tiny_camera_yaml());
+  write_file(sequence() + "/rgb.txt", "");
+  const Outcome index = replay("");
+  EXPECT_EQ(index.exit_code, 2);
+  EXPECT_THAT(index.text, HasSubstr("rgb.txt: lists no pictures"));
+  EXPECT_FALSE(fs::exists(out()));
+}
+
+TEST_F(Replay, ABadConfigurationIsRefusedWithAllItsMistakes) {
+  write_file(folder_ / "c.toml", "[pipeline]\nmapper_delay_frames = 0\nspeed = 3\n");
+  const Outcome outcome = replay("--config '" + (folder_ / "c.toml") + "'");
+  EXPECT_EQ(outcome.exit_code, 2);
+  EXPECT_THAT(outcome.text,
+              AllOf(HasSubstr("c.toml:2: pipeline.mapper_delay_frames"), HasSubstr("c.toml:3: pipeline.speed")));
+  write_file(folder_ / "good.toml", "[pipeline]\nmapper_delay_frames = 3\n");
+  EXPECT_EQ(replay("--sequential --config '" + (folder_ / "good.toml") + "'").exit_code, 0);
+}
+
+TEST_F(Replay, AnUnwritableFolderIsAFailureWithItsReason) {
+  write_file(out(), "a file is in the way");
+  const Outcome outcome = replay("--sequential");
+  EXPECT_EQ(outcome.exit_code, 1);
+  EXPECT_THAT(outcome.text, HasSubstr("out: cannot be created"));
+}
+
+TEST_F(Replay, AFullDiskIsAFailureAndLeavesNoFile) {
+  const Outcome outcome = godwit("replay '" + sequence() + "' --sequential --out '" + out() + "'", "ulimit -f 1; ");
+  EXPECT_EQ(outcome.exit_code, 1) << outcome.text;
+  EXPECT_THAT(outcome.text, HasSubstr("cannot be written: File too large"));
+  EXPECT_TRUE(fs::is_empty(out()));
+}
+
+TEST_F(Replay, AnInterruptLeavesNoFile) {
+  // A sequence that lasts 50 s at real pace; the interrupt comes long before its end.
+  std::string index;
+  for (int i = 0; i < 1000; ++i) index += std::to_string(100 + i) + " rgb/0000.png\n";
+  write_file(sequence() + "/rgb.txt", index);
+  const Outcome outcome = godwit("replay '" + sequence() + "' --pace real --out '" + out() + "'", "timeout -s INT 1 ");
+  EXPECT_THAT(outcome.text, HasSubstr("interrupted; nothing was written"));
+  EXPECT_TRUE(fs::is_empty(out()));
+}
+
+TEST_F(Replay, TwoSequentialRunsAreEqualToTheBit) {
+  ASSERT_EQ(replay("--sequential").exit_code, 0);
+  const std::string first = read_file(out() + "/trajectory.tum") + read_file(out() + "/pose.csv");
+  ASSERT_EQ(replay("--sequential").exit_code, 0);
+  EXPECT_EQ(first, read_file(out() + "/trajectory.tum") + read_file(out() + "/pose.csv"));
+}
+
+}  // namespace

@@ -1,0 +1,81 @@
+"""scripts/check_includes finds what breaks the rules, and only that."""
+import importlib.machinery
+import importlib.util
+import os
+import pathlib
+import tempfile
+import unittest
+
+ROOT = pathlib.Path(os.environ.get('GODWIT_SOURCE_DIR', pathlib.Path(__file__).resolve().parents[2]))
+
+
+def load(path):
+    loader = importlib.machinery.SourceFileLoader('check_includes', str(path))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader('check_includes', loader))
+    loader.exec_module(module)
+    return module
+
+
+check = load(ROOT / 'scripts' / 'check_includes')
+
+ALLOWED = [
+    ('firmware_app/a.cpp', '"', 'vo_core/tracker.h'),
+    ('firmware_app/a.cpp', '<', 'opencv2/core.hpp'),
+    ('hal/camera/a.cpp', '"', 'hal/rt/time.h'),
+    ('hal/camera/a.cpp', '"', 'hal/camera/camera.h'),
+    ('vo_core/a.cpp', '"', 'hal/rt/image.h'),
+    ('vo_core/a.cpp', '<', 'Eigen/Core'),
+    ('vo_core/a.cpp', '<', 'hwy/highway.h'),
+    ('vo_core/a.cpp', '<', 'cmath'),
+    ('hal/rt/a.cpp', '<', 'pthread.h'),
+    ('hal/rt/alloc_hook.cpp', '"', 'hal/rt/alloc_hook.h'),
+    ('tests/rt/a.cpp', '"', 'hal/rt/alloc_hook.h'),
+    ('detector/a.cpp', '<', 'opencv2/dnn.hpp'),
+]
+FORBIDDEN = [
+    ('vo_core/a.cpp', '"', 'hal/camera/camera.h'),
+    ('vo_core/a.cpp', '"', 'detector/mask.h'),
+    ('vo_core/a.cpp', '"', 'firmware_app/config.h'),
+    ('vo_core/a.cpp', '<', 'opencv2/core.hpp'),
+    ('vo_core/a.cpp', '<', 'thread'),
+    ('vo_core/a.cpp', '<', 'chrono'),
+    ('vo_core/a.cpp', '<', 'fstream'),
+    ('vo_core/a.cpp', '<', 'time.h'),
+    ('vo_core/a.cpp', '<', 'sys/mman.h'),
+    ('vo_core/a.cpp', '<', 'fmt/format.h'),
+    ('detector/a.cpp', '"', 'vo_core/tracker.h'),
+    ('detector/a.cpp', '"', 'hal/camera/camera.h'),
+    ('hal/camera/a.cpp', '"', 'vo_core/camera_model.h'),
+    ('hal/rt/a.cpp', '"', 'hal/camera/camera.h'),
+    ('hal/rt/a.cpp', '<', 'Eigen/Core'),
+    ('hal/can/a.cpp', '"', 'firmware_app/config.h'),
+    ('firmware_app/a.cpp', '"', 'hal/rt/alloc_hook.h'),
+    ('firmware_app/a.cpp', '"', 'tests/support/temp_folder.h'),
+    ('firmware_app/pipeline/a.cpp', '"', '../config.h'),
+    ('firmware_app/pipeline/a.cpp', '"', 'pipeline.h'),
+]
+
+
+class CheckIncludes(unittest.TestCase):
+    def test_allowed(self):
+        for case in ALLOWED:
+            self.assertIsNone(check.check_include(*case), case)
+
+    def test_forbidden(self):
+        for case in FORBIDDEN:
+            self.assertIsNotNone(check.check_include(*case), case)
+
+    def test_tree_names_file_and_line(self):
+        with tempfile.TemporaryDirectory() as folder:
+            root = pathlib.Path(folder)
+            (root / 'vo_core').mkdir()
+            (root / 'vo_core' / 'bad.cpp').write_text('// a comment\n#include <cmath>\n  #  include <thread>\n')
+            (root / 'vo_core' / 'notes.txt').write_text('#include <thread>\n')
+            self.assertEqual([(f, n) for f, n, _ in check.check_tree(root)], [('vo_core/bad.cpp', 3)])
+
+    def test_this_tree_keeps_the_rules(self):
+        self.assertEqual(list(check.check_tree(ROOT)), [])
+
+
+if __name__ == '__main__':
+    unittest.main()

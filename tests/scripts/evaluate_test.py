@@ -1,0 +1,85 @@
+"""scripts/evaluate against trajectories whose error is known."""
+import importlib.machinery
+import importlib.util
+import os
+import pathlib
+import tempfile
+import unittest
+
+import numpy as np
+
+ROOT = pathlib.Path(os.environ.get('GODWIT_SOURCE_DIR', pathlib.Path(__file__).resolve().parents[2]))
+loader = importlib.machinery.SourceFileLoader('evaluate', str(ROOT / 'scripts' / 'evaluate'))
+evaluate = importlib.util.module_from_spec(importlib.util.spec_from_loader('evaluate', loader))
+loader.exec_module(evaluate)
+
+
+def curve(n):
+    t = np.linspace(0, 10, n)
+    return t, np.stack([np.cos(t), np.sin(1.3 * t), 0.3 * np.sin(2.1 * t)], 1)
+
+
+def write_run(folder, t, p, map_ids, untracked_before=0):
+    with open(folder / 'trajectory.tum', 'w') as out:
+        for ti, pi, m in zip(t, p, map_ids):
+            out.write(f'{ti:.9f} {pi[0]} {pi[1]} {pi[2]} 0 0 0 1 {m}\n')
+    with open(folder / 'frames.csv', 'w') as out:
+        out.write('t,tracked\n')
+        out.writelines(f'{-1 + 0.01 * i:.9f},0\n' for i in range(untracked_before))
+        out.writelines(f'{ti:.9f},1\n' for ti in t)
+
+
+class Evaluate(unittest.TestCase):
+    def setUp(self):
+        self.temp = tempfile.TemporaryDirectory()
+        self.folder = pathlib.Path(self.temp.name)
+        t, p = curve(1001)
+        np.savetxt(self.folder / 'truth.txt', np.column_stack([t, p, np.tile([0, 0, 0, 1], (len(t), 1))]), fmt='%.9f')
+
+    def tearDown(self):
+        self.temp.cleanup()
+
+    def test_similarity_is_taken_out(self):
+        t, p = curve(301)
+        angle = 0.7
+        R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        write_run(self.folder, t, 0.25 * p @ R.T + [5, -3, 2], [1] * len(t), untracked_before=4)
+        result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
+        self.assertLess(result['ate_m'], 1e-4)
+        self.assertAlmostEqual(result['scale'], 4.0, places=3)
+        self.assertEqual(result['first_pose_after_frames'], 4)
+        self.assertEqual(result['tracked_share_after_first_pose'], 1.0)
+        self.assertAlmostEqual(result['tracked_share'], 301 / 305)
+
+    def test_known_error_is_found(self):
+        t, p = curve(301)
+        noise = np.random.default_rng(1).normal(0, 0.02, p.shape)
+        write_run(self.folder, t, p + noise, [1] * len(t))
+        result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
+        self.assertAlmostEqual(result['ate_m'], np.sqrt((noise ** 2).sum(1).mean()), delta=0.001)
+
+    def test_only_the_longest_map_counts(self):
+        t, p = curve(300)
+        q = p.copy()
+        q[:50] += 7  # another map with its own frame
+        write_run(self.folder, t, q, [1] * 50 + [2] * 250)
+        result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
+        self.assertLess(result['ate_m'], 1e-4)
+        self.assertEqual(result['maps'], 2)
+        self.assertAlmostEqual(result['longest_map_share_after_first_pose'], 250 / 300)
+
+    def test_a_mirror_image_is_not_aligned_away(self):
+        t, p = curve(301)
+        write_run(self.folder, t, p * [1, 1, -1], [1] * len(t))
+        result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
+        self.assertGreater(result['ate_m'], 0.1)
+
+    def test_no_pose_at_all(self):
+        write_run(self.folder, [], [], [], untracked_before=5)
+        result, curves = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
+        self.assertEqual(result, {'frames': 5, 'tracked_share': 0.0})
+        self.assertIsNone(curves)
+
+
+if __name__ == '__main__':
+    unittest.main()
