@@ -142,7 +142,15 @@ std::size_t TxQueue::drain(hal::CanBus& bus, rt::TimeNs now_ns, std::size_t max_
     prepare(&s);
     const hal::CanFrame& frame = s.frame[s.sent];
     const hal::CanSend result = bus.send(frame);
-    if (result == hal::CanSend::kFull || result == hal::CanSend::kDown) break;
+    if (result == hal::CanSend::kFull || result == hal::CanSend::kDown) {
+      // Nothing of it has left: it may still give way to a newer one, and its transfer id was not used.
+      if (s.sent == 0) {
+        if (s.counter[0] != nullptr) *s.counter[0] = transfer_id_;
+        s.prepared = 0;
+        sending_ = nullptr;
+      }
+      break;
+    }
     if (result == hal::CanSend::kRefused) {
       ++counters_.abandoned;
       release(s);

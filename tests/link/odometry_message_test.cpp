@@ -1,0 +1,231 @@
+#include "firmware_app/link/odometry_message.h"
+
+#include <Eigen/Geometry>
+#include <gtest/gtest.h>
+#include <random>
+
+namespace godwit::link {
+namespace {
+
+using Mat6 = Eigen::Matrix<double, 6, 6>;
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+
+Eigen::Matrix3d exp_so3(const Eigen::Vector3d& w) {
+  return w.norm() < 1e-14 ? Eigen::Matrix3d::Identity()
+                          : Eigen::AngleAxisd(w.norm(), w.normalized()).toRotationMatrix();
+}
+
+class Random {
+ public:
+  double number(double most) { return std::uniform_real_distribution<double>(-most, most)(engine_); }
+  Eigen::Vector3d vector(double most) { return {number(most), number(most), number(most)}; }
+  Eigen::Matrix3d rotation() { return exp_so3(vector(2)); }
+  Mat6 covariance() {
+    Mat6 a;
+    for (int i = 0; i < 36; ++i) a(i) = number(0.1);
+    return a * a.transpose() + 1e-3 * Mat6::Identity();
+  }
+
+ private:
+  std::mt19937 engine_{42};
+};
+
+void set_rotation(PoseSample* s, const Eigen::Matrix3d& R) {
+  const Eigen::Quaterniond q(R);
+  s->orientation = {q.w(), q.x(), q.y(), q.z()};
+}
+
+PoseSample random_sample(Random& random) {
+  PoseSample s;
+  s.state = PoseState::kTracking;
+  s.has_scale = s.has_gravity = true;
+  s.measurements = 100;
+  Eigen::Map<Eigen::Vector3d>(s.position.data()) = random.vector(20);
+  Eigen::Map<Eigen::Vector3d>(s.velocity.data()) = random.vector(5);
+  Eigen::Map<Eigen::Vector3d>(s.angular_velocity.data()) = random.vector(1);
+  set_rotation(&s, random.rotation());
+  Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = random.covariance();
+  Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(s.velocity_covariance.data()) =
+      random.covariance().topLeftCorner<3, 3>();
+  return s;
+}
+
+Eigen::Matrix3d rotation_of(const Eigen::Vector4d& q) {
+  return Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
+}
+
+TEST(BodyPose, LevelCameraLookingAheadIsALevelBody) {
+  PoseSample s;
+  s.state = PoseState::kTracking;
+  s.has_scale = s.has_gravity = true;
+  s.measurements = 100;
+  s.position = {1, 2, 3};
+  s.velocity = {4, 0.5, -0.25};
+  // Camera z along world x, camera x along -world y, camera y down.
+  set_rotation(&s, Eigen::Matrix3d{{0, 0, 1}, {-1, 0, 0}, {0, -1, 0}});
+  const BodyPose ardupilot = body_pose(s, {});
+  EXPECT_TRUE(ardupilot.position.isApprox(Eigen::Vector3d(1, -2, -3)));
+  EXPECT_TRUE(ardupilot.q.isApprox(Eigen::Vector4d(1, 0, 0, 0), 1e-12)) << ardupilot.q.transpose();
+  EXPECT_TRUE(ardupilot.velocity.isApprox(Eigen::Vector3d(4, -0.5, 0.25)));
+  OdometryConfig px4;
+  px4.profile = Profile::kPx4;
+  px4.world_heading_rad = M_PI / 2;  // the world's x axis points east
+  const BodyPose ned = body_pose(s, px4);
+  EXPECT_TRUE(ned.position.isApprox(Eigen::Vector3d(2, 1, -3), 1e-12)) << ned.position.transpose();
+  EXPECT_NEAR(std::atan2(rotation_of(ned.q)(1, 0), rotation_of(ned.q)(0, 0)), M_PI / 2, 1e-12) << "heading east";
+  EXPECT_TRUE(ned.velocity.isApprox(ardupilot.velocity));
+}
+
+TEST(BodyPose, TurnsHaveTheSignsOfFrontRightDown) {
+  const Eigen::Matrix3d level{{0, 0, 1}, {-1, 0, 0}, {0, -1, 0}};
+  const auto euler = [&](const Eigen::Vector3d& turn_flu) {
+    PoseSample s;
+    s.state = PoseState::kTracking;
+    s.has_scale = s.has_gravity = true;
+    set_rotation(&s, exp_so3(turn_flu) * level);
+    const Eigen::Matrix3d R = rotation_of(body_pose(s, {}).q);
+    return Eigen::Vector3d(std::atan2(R(2, 1), R(2, 2)), -std::asin(R(2, 0)), std::atan2(R(1, 0), R(0, 0)));
+  };
+  EXPECT_TRUE(euler({0.1, 0, 0}).isApprox(Eigen::Vector3d(0.1, 0, 0), 1e-9)) << "right wing down is positive roll";
+  EXPECT_TRUE(euler({0, -0.1, 0}).isApprox(Eigen::Vector3d(0, 0.1, 0), 1e-9)) << "nose up is positive pitch";
+  EXPECT_TRUE(euler({0, 0, -0.1}).isApprox(Eigen::Vector3d(0, 0, 0.1), 1e-9)) << "a turn to the right is positive yaw";
+}
+
+// The covariance against numeric Jacobians: the body's error for small errors of the camera's pose.
+TEST(BodyPose, CovarianceFollowsTheNumericJacobian) {
+  Random random;
+  for (int i = 0; i < 50; ++i) {
+    OdometryConfig config;
+    config.profile = i % 2 == 0 ? Profile::kArdupilot : Profile::kPx4;
+    config.world_heading_rad = random.number(3);
+    config.R_body_cam = random.rotation();
+    config.t_body_cam = random.vector(0.5);
+    const PoseSample s = random_sample(random);
+    const BodyPose base = body_pose(s, config);
+    const Eigen::Matrix3d R0 = rotation_of(base.q);
+    Mat6 J;
+    constexpr double kStep = 1e-6;
+    for (int k = 0; k < 6; ++k) {
+      PoseSample moved = s;
+      if (k < 3) {
+        moved.position[static_cast<std::size_t>(k)] += kStep;
+      } else {
+        const Eigen::Matrix3d R = rotation_of({s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3]});
+        set_rotation(&moved, exp_so3(kStep * Eigen::Vector3d::Unit(k - 3)) * R);
+      }
+      const BodyPose out = body_pose(moved, config);
+      const Eigen::AngleAxisd turn(rotation_of(out.q) * R0.transpose());
+      J.col(k) << (out.position - base.position) / kStep, turn.angle() * turn.axis() / kStep;
+    }
+    const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s.covariance.data());
+    const Mat6 expected = J * C * J.transpose();
+    EXPECT_LT((base.covariance - expected).norm(), 1e-4 * expected.norm());
+    const double turned = base.covariance.diagonal().tail<3>().sum(), given = C.diagonal().tail<3>().sum();
+    EXPECT_NEAR(turned, given, 1e-9);
+  }
+}
+
+// Velocity of the body's origin against the difference quotient of its position.
+TEST(BodyPose, VelocityIsThatOfTheBody) {
+  Random random;
+  for (int i = 0; i < 50; ++i) {
+    OdometryConfig config;
+    config.R_body_cam = random.rotation();
+    config.t_body_cam = random.vector(0.5);
+    const PoseSample s = random_sample(random);
+    const BodyPose base = body_pose(s, config);
+    constexpr double kStep = 1e-6;
+    PoseSample later = s;
+    for (std::size_t k = 0; k < 3; ++k) later.position[k] += kStep * s.velocity[k];
+    const Eigen::Matrix3d R = rotation_of({s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3]});
+    set_rotation(&later, R * exp_so3(kStep * Eigen::Vector3d(s.angular_velocity.data())));
+    const BodyPose moved = body_pose(later, config);
+    const Eigen::Vector3d local = (moved.position - base.position) / kStep;
+    EXPECT_LT((rotation_of(base.q) * base.velocity - local).norm(), 1e-5);
+    const Eigen::AngleAxisd turn(rotation_of(base.q).transpose() * rotation_of(moved.q));
+    EXPECT_LT((turn.angle() * turn.axis() / kStep - base.rates).norm(), 1e-4);
+  }
+}
+
+TEST(BodyPose, WhatIsNotKnownIsNeutral) {
+  Random random;
+  PoseSample s = random_sample(random);
+  s.has_scale = false;
+  const BodyPose no_scale = body_pose(s, {});
+  EXPECT_EQ(no_scale.quality, -1);
+  EXPECT_TRUE(no_scale.position.isZero());
+  EXPECT_TRUE(no_scale.velocity.isZero());
+  EXPECT_FALSE(no_scale.q.isApprox(Eigen::Vector4d(1, 0, 0, 0), 1e-3)) << "the attitude is known by gravity";
+  EXPECT_EQ(no_scale.covariance(0, 0), kUnknownPositionVariance);
+  EXPECT_LT(no_scale.covariance(5, 5), 1);
+  s.has_gravity = false;
+  const BodyPose no_gravity = body_pose(s, {});
+  EXPECT_TRUE(no_gravity.q.isApprox(Eigen::Vector4d(1, 0, 0, 0)));
+  EXPECT_EQ(no_gravity.covariance(3, 3), kUnknownAngleVariance);
+  OdometryConfig bench;
+  bench.bench_metric = true;
+  EXPECT_GT(body_pose(s, bench).quality, 0);
+  for (const PoseState state : {PoseState::kInitialising, PoseState::kRelocalising, PoseState::kLost}) {
+    s.state = state;
+    EXPECT_EQ(body_pose(s, bench).quality, -1) << "no word of the bench makes a pose out of none";
+  }
+}
+
+TEST(BodyPose, CovarianceIsAlwaysOneAnEstimatorCanTake) {
+  Random random;
+  for (int i = 0; i < 200; ++i) {
+    PoseSample s = random_sample(random);
+    for (double& c : s.covariance) c *= std::pow(10.0, random.number(8));
+    for (double& c : s.velocity_covariance) c = random.number(1e6);
+    const BodyPose out = body_pose(s, {});
+    for (int k = 0; k < 6; ++k) {
+      EXPECT_GT(out.covariance(k, k), 0);
+      EXPECT_LE(out.covariance(k, k), k < 3 ? kUnknownPositionVariance : kUnknownAngleVariance);
+    }
+    for (int k = 0; k < 3; ++k) EXPECT_GT(out.velocity_covariance(k, k), 0);
+    EXPECT_TRUE(out.covariance.isApprox(out.covariance.transpose()));
+  }
+}
+
+TEST(BodyPose, QualityFallsWithFewMeasurementsLargeSigmaAndCoasting) {
+  PoseSample s;
+  s.state = PoseState::kTracking;
+  s.measurements = 200;
+  EXPECT_EQ(pose_quality(s), 100);
+  s.measurements = 30;
+  EXPECT_EQ(pose_quality(s), 30);
+  for (std::size_t i = 0; i < 3; ++i) s.covariance[7 * i] = 0.25;
+  EXPECT_EQ(pose_quality(s), 15);
+  s.measurements = 200;
+  s.state = PoseState::kCoasting;
+  EXPECT_EQ(pose_quality(s), 25);
+  s.measurements = 0;
+  EXPECT_EQ(pose_quality(s), 1);
+}
+
+TEST(OdometryMessage, FillsTheFieldsTheProfilesWant) {
+  Random random;
+  const PoseSample s = random_sample(random);
+  OdometryConfig config;
+  const BodyPose pose = body_pose(s, config);
+  mavlink::Odometry m = odometry_message(pose, config, 123456789012, 7);
+  EXPECT_EQ(m.time_usec, 123456789U);
+  EXPECT_EQ(m.frame_id, 20);
+  EXPECT_EQ(m.child_frame_id, 12);
+  EXPECT_EQ(m.reset_counter, 7);
+  EXPECT_EQ(m.estimator_type, 2);
+  const std::array<std::pair<std::size_t, int>, 6> diagonal{{{0, 0}, {6, 1}, {11, 2}, {15, 3}, {18, 4}, {20, 5}}};
+  for (const auto& [index, k] : diagonal)
+    EXPECT_FLOAT_EQ(m.pose_covariance[index], static_cast<float>(pose.covariance(k, k)));
+  EXPECT_FLOAT_EQ(m.pose_covariance[1], static_cast<float>(pose.covariance(0, 1)));
+  EXPECT_FLOAT_EQ(m.velocity_covariance[6], static_cast<float>(pose.velocity_covariance(1, 1)));
+  EXPECT_EQ(m.velocity_covariance[15], 0);
+  config.profile = Profile::kPx4;
+  config.inertial = true;
+  m = odometry_message(pose, config, 0, 0);
+  EXPECT_EQ(m.frame_id, 1);
+  EXPECT_EQ(m.estimator_type, 3);
+}
+
+}  // namespace
+}  // namespace godwit::link
