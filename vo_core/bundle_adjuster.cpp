@@ -123,7 +123,7 @@ struct BundleAdjuster::Impl {
           if (place_pose[o.keyframe] < 0) add_pose(o.keyframe);
           const KeyframeFeature& feature = map->keyframe(o.keyframe).features[o.feature];
           Obs& out = obs[obs_count++];
-          out.px = feature.px.cast<double>();
+          out.px = feature.px_global.cast<double>();
           out.gradient = feature.gradient.cast<double>();
           out.inv_sigma = 1.0 / (1 << feature.level);
           out.pose = static_cast<std::int16_t>(place_pose[o.keyframe]);

@@ -55,21 +55,20 @@ struct SE3 {
   static SE3 exp(const Vec6& x) {
     const Vec3 v = x.head<3>(), w = x.tail<3>();
     const double theta2 = w.squaredNorm();
-    const Mat3 W = skew(w);
     double a = 0.5, b = 1.0 / 6.0;
     if (theta2 > 1e-12) {
       const double theta = std::sqrt(theta2);
       a = (1.0 - std::cos(theta)) / theta2;
       b = (theta - std::sin(theta)) / (theta2 * theta);
     }
-    return {so3_exp(w), v + a * W * v + b * W * W * v};
+    const Vec3 wv = w.cross(v);
+    return {so3_exp(w), v + a * wv + b * w.cross(wv)};
   }
 
   /// Inverse of exp: twist (v, w).
   Vec6 log() const {
     const Vec3 w = so3_log(R);
     const double theta2 = w.squaredNorm();
-    const Mat3 W = skew(w);
     double c = 1.0 / 12.0;
     if (theta2 > 1e-12) {
       const double theta = std::sqrt(theta2);
@@ -77,7 +76,8 @@ struct SE3 {
       c = (1.0 - half * std::cos(half) / std::sin(half)) / theta2;
     }
     Vec6 x;
-    x << (t - 0.5 * W * t + c * W * W * t), w;
+    const Vec3 wt = w.cross(t);
+    x << (t - 0.5 * wt + c * w.cross(wt)), w;
     return x;
   }
 

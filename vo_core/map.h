@@ -30,9 +30,11 @@ struct PointHandle {
 
 /// A feature of a keyframe. Its place in the keyframe's array never changes, so both replicas name it by index.
 struct KeyframeFeature {
-  Vec2f px = Vec2f::Zero();         ///< level-0 pixels
+  Vec2f px = Vec2f::Zero();  ///< level-0 pixels: where the patch lies in the picture
+  Vec2f px_global =
+      Vec2f::Zero();  ///< the same as a global shutter would have seen it at capture time: what geometry uses
   Vec2f gradient = Vec2f::UnitX();  ///< unit direction across the edge (edgelets)
-  Vec3 bearing = Vec3::UnitZ();     ///< unit vector, keyframe's camera frame
+  Vec3 bearing = Vec3::UnitZ();     ///< unit vector of px_global, keyframe's camera frame
   PointHandle point;                ///< the map point it observes, if any
   std::int8_t level = 0;            ///< pyramid level on which it was found or aligned
   FeatureType type = FeatureType::kCorner;
@@ -45,6 +47,7 @@ struct Keyframe {
   rt::TimeNs t_capture_ns = 0;
   rt::PyramidView pyramid;
   SE3 T_kf_world;
+  Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_kf_world [map units/s, rad/s]
   double median_depth = 1.0;
   int feature_count = 0;
   std::array<KeyframeFeature, kMaxKeyframeFeatures> features;

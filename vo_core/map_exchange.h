@@ -19,7 +19,8 @@ constexpr int kMaxFrameFeatures = 240;
 
 /// One image measurement of a map point in a tracked frame.
 struct FrameFeature {
-  Vec2f px = Vec2f::Zero();
+  Vec2f px = Vec2f::Zero();         ///< where the patch lies in the picture
+  Vec2f px_global = Vec2f::Zero();  ///< freed of the rolling shutter (rolling_shutter.h)
   Vec2f gradient = Vec2f::UnitX();
   PointHandle point;
   std::int8_t level = 0;
@@ -41,6 +42,8 @@ struct MapperMessage {
   rt::PyramidView pyramid;
   rt::TimeNs t_capture_ns = 0;
   SE3 T_cam_world;
+  Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
+  int tracked_features = 0;      ///< measurements of this frame
   double median_depth = 1.0;
   double min_depth = 0.5;
 

@@ -53,6 +53,11 @@ bool Mapper::step() {
   delta_ = channel_->deltas.claim();
   if (!delta_) return false;
   delta_->clear();
+  // Points of uncertain depth are better than none: with little motion the depth matters little for the pose, and the
+  // bundle adjustment makes it certain later.
+  const double hunger =
+      std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
+  sigma_limit_ = options_.converged_sigma + hunger * (options_.starving_sigma - options_.converged_sigma);
   report_ = {};
   report_.kind = m->kind;
   report_.sequence = m->sequence;
@@ -92,14 +97,16 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   kf.t_capture_ns = m.t_capture_ns;
   kf.pyramid = m.pyramid;
   kf.T_kf_world = m.T_cam_world;
+  kf.velocity = m.velocity;
   kf.median_depth = m.median_depth;
   for (int i = 0; i < m.feature_count; ++i) {
     const FrameFeature& f = m.features[i];
     if (m.initial && m.keyframe_id == 1) map_.activate_point(f.point, m.initial_points[i].cast<double>());
     KeyframeFeature feature;
     feature.px = f.px;
+    feature.px_global = f.px_global;
     feature.gradient = f.gradient;
-    feature.bearing = camera_.unproject(f.px.cast<double>());
+    feature.bearing = camera_.unproject(f.px_global.cast<double>());
     feature.point = f.point;
     feature.level = f.level;
     feature.type = f.type;
@@ -112,6 +119,16 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   if (m.keyframe_id > 1) adjust(m.keyframe_place);
   create_seeds(m.keyframe_place, m);
   forget_keyframes(m.keyframe_place);
+}
+
+Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const {
+  if (options_.shutter.readout_s <= 0.0) return px;
+  Vec2 unused;
+  Mat23 J;
+  if (!camera_.project(p_cam, &unused, &J)) return px;
+  const Vec2 moved =
+      rolling_displacement(options_.shutter, camera_.height(), p_cam, J, static_cast<double>(px.y()), kf.velocity);
+  return px - moved.cast<float>();
 }
 
 void Mapper::create_seeds(int place, const MapperMessage& m) {
@@ -145,7 +162,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->place = place;
     seed->keyframe_id = kf.id;
     seed->feature = {};
-    seed->feature.px = found[i].px;
+    seed->feature.px = seed->feature.px_global = found[i].px;
     seed->feature.gradient = found[i].gradient;
     seed->feature.level = found[i].level;
     seed->feature.type = found[i].type;
@@ -188,7 +205,7 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& 
     seed->active = false;
     return;
   }
-  if (e.relative_sigma() < options_.converged_sigma) {
+  if (e.relative_sigma() < sigma_limit_) {
     seed_to_point(seed);
     seed->active = false;
   }
@@ -216,7 +233,11 @@ bool Mapper::seed_to_point(Seed* seed) {
   if (host.feature_count >= kMaxKeyframeFeatures) return false;
   const PointHandle h = map_.free_point();
   if (!h.valid()) return false;
-  const Vec3 p = host.T_kf_world.inverse() * (seed->feature.bearing / seed->estimate.inv_depth);
+  // Only now is its depth known, and with it what the rolling shutter did to it.
+  KeyframeFeature& f = seed->feature;
+  f.px_global = to_global(host, f.px, f.bearing / seed->estimate.inv_depth);
+  f.bearing = camera_.unproject(f.px_global.cast<double>());
+  const Vec3 p = host.T_kf_world.inverse() * (f.bearing / seed->estimate.inv_depth);
   map_.activate_point(h, p);
   seed->feature.point = h;
   map_.append_feature(seed->place, seed->feature);
@@ -268,8 +289,9 @@ void Mapper::find_observations(PointHandle h, int host) {
     if (!m.found || (m.px - px.cast<float>()).norm() > 3.0f * static_cast<float>(1 << m.level)) continue;
     KeyframeFeature f;
     f.px = m.px;
+    f.px_global = to_global(kf, m.px, kf.T_kf_world * point.p_world);
     f.gradient = m.gradient;
-    f.bearing = camera_.unproject(m.px.cast<double>());
+    f.bearing = camera_.unproject(f.px_global.cast<double>());
     f.level = static_cast<std::int8_t>(m.level);
     f.type = source_feature.type;
     f.point = h;

@@ -12,6 +12,7 @@
 #include "vo_core/depth_filter.h"
 #include "vo_core/feature_detector.h"
 #include "vo_core/map_channel.h"
+#include "vo_core/rolling_shutter.h"
 
 namespace godwit::vo {
 
@@ -19,12 +20,15 @@ struct MapperOptions {
   FeatureDetectorOptions detector;
   int features_per_keyframe = 200;  ///< tracked points and new seeds of a keyframe together
   int max_seed_updates = 220;       ///< epipolar searches a frame
-  double converged_sigma = 0.02;    ///< sigma of depth over depth below which a seed becomes a point
-  double match_sigma_px = 1.0;      ///< noise of an epipolar match
+  double converged_sigma = 0.04;    ///< sigma of depth over depth below which a seed becomes a point
+  double starving_sigma = 0.15;     ///< the same when the tracker sees next to no points
+  int starving_features = 120;      ///< tracked features below which the limit begins to rise
+  double match_sigma_px = 0.6;      ///< noise of an epipolar match
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
   int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
   int max_keyframes = 56;           ///< above: the least useful keyframe is forgotten
   BundleAdjusterOptions bundle;
+  RollingShutter shutter;
 };
 
 /// Counters and stage times of the last message, for logs.
@@ -78,6 +82,7 @@ class Mapper {
   void find_observations(PointHandle h, int host);
   void adjust(int place);
   void forget_keyframes(int newest);
+  Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
   void release(int slot, int count);
   void remove_point(PointHandle h);
   void remove_observation(int place, int feature);
@@ -92,6 +97,7 @@ class Mapper {
   BundleAdjuster bundle_;
   std::unique_ptr<std::array<Seed, kMaxSeeds>> seeds_;
   int next_seed_ = 0;
+  double sigma_limit_ = 0.0;  ///< converged_sigma, raised while the tracker starves
   MapperReport report_;
   std::array<SlotRelease, 2 * kMaxKeyframes> releases_;
   int release_count_ = 0;

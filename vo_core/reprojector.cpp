@@ -27,8 +27,8 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
   }
 }
 
-void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, std::uint32_t frame,
-                          ReprojectionResult* result) {
+void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
+                          std::uint32_t frame, ReprojectionResult* result) {
   const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
   const Vec3 axis = T_cam_world.R.row(2);
   // Keyframes that look the same way, nearest first.
@@ -57,7 +57,15 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
       if (!p || p->last_frame == frame) continue;
       p->last_frame = frame;
       Vec2 px;
-      if (!camera_.project(T_cam_world * p->p_world, &px) || !camera_.in_image(px, 8.0)) continue;
+      const Vec3 p_cam = T_cam_world * p->p_world;
+      if (options_.shutter.readout_s > 0.0) {
+        Mat23 J;
+        if (!camera_.project(p_cam, &px, &J)) continue;
+        px += rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
+      } else if (!camera_.project(p_cam, &px)) {
+        continue;
+      }
+      if (!camera_.in_image(px, 8.0)) continue;
       if (mask.levels > 0) {
         const Vec2f m = px.cast<float>();
         if (mask.level[0].at(static_cast<int>(m.x() + 0.5f), static_cast<int>(m.y() + 0.5f))) continue;
@@ -112,9 +120,10 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, std::uint32_t frame, FrameFeature* out) {
+                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame,
+                                    FrameFeature* out) {
   ReprojectionResult result;
-  collect(map, mask, T_cam_world, frame, &result);
+  collect(map, mask, T_cam_world, velocity, frame, &result);
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {

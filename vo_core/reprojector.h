@@ -9,6 +9,7 @@
 #include "vo_core/camera_model.h"
 #include "vo_core/map.h"
 #include "vo_core/map_exchange.h"
+#include "vo_core/rolling_shutter.h"
 
 namespace godwit::vo {
 
@@ -18,6 +19,7 @@ struct ReprojectorOptions {
   int max_trials = 360;
   int max_keyframes = 12;
   int max_level = 3;
+  RollingShutter shutter;
 };
 
 struct ReprojectionResult {
@@ -35,7 +37,7 @@ class Reprojector {
   /// Finds map points in the frame. Writes the matches to out (kMaxFrameFeatures long). Updates found/missed of the
   /// points. `frame` is the tracker's frame counter (marks points already projected).
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, std::uint32_t frame, FrameFeature* out);
+                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, FrameFeature* out);
 
  private:
   struct Candidate {
@@ -48,8 +50,8 @@ class Reprojector {
   static constexpr int kMaxCells = 4096;
   static constexpr std::uint16_t kEnd = 0xffff;
 
-  void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, std::uint32_t frame,
-               ReprojectionResult* result);
+  void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
+               std::uint32_t frame, ReprojectionResult* result);
   bool try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
                  FrameFeature* out);
 

@@ -21,7 +21,7 @@ double optimize_structure(const CameraModel& camera, const Map& map, const MapPo
       Mat23 Jp;
       if (!camera.project(kf.T_kf_world * p, &px, &Jp)) continue;
       const double s = 1.0 / (1 << f.level);
-      Vec2 r = (f.px.cast<double>() - px) * s;
+      Vec2 r = (f.px_global.cast<double>() - px) * s;
       Mat23 J = s * Jp * kf.T_kf_world.R;
       if (f.type == FeatureType::kEdgelet) {
         const Vec2 g = f.gradient.cast<double>();

@@ -6,6 +6,12 @@
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
+namespace {
+ReprojectorOptions with_shutter(ReprojectorOptions options, const RollingShutter& shutter) {
+  options.shutter = shutter;
+  return options;
+}
+}  // namespace
 
 const char* state_name(State s) {
   switch (s) {
@@ -30,7 +36,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
       map_(std::make_unique<Map>()),
       initializer_(camera_, options.initializer),
       align_(std::make_unique<SparseImageAlign>(camera_, options.align)),
-      reprojector_(std::make_unique<Reprojector>(camera_, options.reprojector)) {}
+      reprojector_(std::make_unique<Reprojector>(camera_, with_shutter(options.reprojector, options.shutter))) {}
 Tracker::~Tracker() = default;
 
 std::span<const FrameFeature> Tracker::features() const {
@@ -131,6 +137,17 @@ void Tracker::apply(const MapDelta& d) {
   }
 }
 
+void Tracker::free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const {
+  f->px_global = f->px;
+  if (options_.shutter.readout_s <= 0.0) return;
+  Vec2 unused;
+  Mat23 J;
+  if (!camera_.project(p_cam, &unused, &J)) return;
+  const Vec2 moved =
+      rolling_displacement(options_.shutter, camera_.height(), p_cam, J, static_cast<double>(f->px.y()), velocity);
+  f->px_global -= moved.cast<float>();
+}
+
 double Tracker::scene_depth(const SE3& T_cam_world, double* min_depth) {
   std::array<float, kMaxFrameFeatures> depth;
   int n = 0;
@@ -155,13 +172,15 @@ int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   kf.t_capture_ns = frame.t_capture_ns;
   kf.pyramid = frame.pyramid;
   kf.T_kf_world = frame.T_cam_world;
+  kf.velocity = frame.velocity;
   kf.median_depth = median_depth_;
   for (int i = 0; i < feature_count_; ++i) {
     const FrameFeature& f = features_[i];
     KeyframeFeature out;
     out.px = f.px;
+    out.px_global = f.px_global;
     out.gradient = f.gradient;
-    out.bearing = camera_.unproject(f.px.cast<double>());
+    out.bearing = camera_.unproject(f.px_global.cast<double>());
     out.point = f.point;
     out.level = f.level;
     out.type = f.type;
@@ -180,6 +199,8 @@ bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, in
   m->pyramid = frame->pyramid;
   m->t_capture_ns = frame->t_capture_ns;
   m->T_cam_world = frame->T_cam_world;
+  m->velocity = frame->velocity;
+  m->tracked_features = feature_count_;
   m->median_depth = median_depth_;
   m->min_depth = min_depth_;
   m->keyframe_id = keyframe_id;
@@ -283,7 +304,7 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
     FrameFeature& f = features_[i];
     f = {};
-    f.px = p.px_ref;
+    f.px = f.px_global = p.px_ref;
     f.level = p.level;
     f.point = {static_cast<std::uint16_t>(i), map_->point(i).generation};
     map_->activate_point(f.point, p.p_ref);
@@ -296,7 +317,8 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     return;
   }
   for (int i = 0; i < n; ++i)
-    features_[i].px = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)].px_cur;
+    features_[i].px = features_[i].px_global =
+        points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)].px_cur;
   median_depth_ = scene_depth(current.T_cam_world, &min_depth_);
   const int place2 = insert_keyframe(current, 2);
   if (!send(MessageKind::kKeyframe, &current, 2, place2)) {
@@ -342,8 +364,11 @@ bool Tracker::estimate(const FrameInput& in, Frame* frame, const SE3& T_cur_last
   result->times.align += t1 - t0;
 
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
-  const ReprojectionResult r =
-      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame_counter_, found.data());
+  // Velocity over the interval since the last frame: what the readout of this one sees.
+  const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
+  frame->velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
+  const ReprojectionResult r = reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world,
+                                                 frame->velocity, frame_counter_, found.data());
   result->matches = r.matches;
   result->candidates = r.candidates;
   t0 = now();
@@ -351,11 +376,12 @@ bool Tracker::estimate(const FrameInput& in, Frame* frame, const SE3& T_cur_last
 
   for (int i = 0; i < r.matches; ++i) {
     PoseMeasurement& m = measurements_[i];
-    m.px = found[i].px.cast<double>();
+    m.p_world = map_->point(found[i].point.index).p_world;
+    free_of_rolling_shutter(&found[i], frame->T_cam_world * m.p_world, frame->velocity);
+    m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
     m.sigma_px = static_cast<double>(1 << found[i].level);
-    m.p_world = map_->point(found[i].point.index).p_world;
   }
   const PoseOptimizerResult p =
       optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches), &frame->T_cam_world);

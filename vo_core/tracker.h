@@ -64,6 +64,7 @@ struct TrackerOptions {
   ReprojectorOptions reprojector;
   PoseOptimizerOptions pose;
   KeyframeSelectorOptions keyframe;
+  RollingShutter shutter;
   int min_measurements = 30;
   int delta_delay_frames = 0;  ///< sequential runs: a delta is applied so many frames after the message that caused it
   int lost_frames_reset = 45;  ///< frames without a pose after which a new map is begun
@@ -93,6 +94,7 @@ class Tracker {
     bool holds_mapper_reference = false;
     rt::PyramidView pyramid;
     SE3 T_cam_world;
+    Vec6 velocity = Vec6::Zero();
     std::uint32_t sequence = 0;
     rt::TimeNs t_capture_ns = 0;
   };
@@ -105,6 +107,7 @@ class Tracker {
   void consider_keyframe(Frame* frame, FrameResult* result);
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
   int insert_keyframe(const Frame& frame, std::uint32_t id);
+  void free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const;
   double scene_depth(const SE3& T_cam_world, double* min_depth);
   void retire(Frame* frame);
   void release(int slot, int count);
