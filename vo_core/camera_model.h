@@ -18,8 +18,9 @@ class CameraModel {
  public:
   enum class Kind { kPinholeRadTan, kKannalaBrandt4 };
 
-  /// Distortion in OpenCV's order k1 k2 p1 p2 k3. Error: size, focal length, centre or coefficient that is not finite or
-  /// absurd (a focal length of zero or less, a centre outside the picture, distortion that folds inside the picture).
+  /// Distortion in OpenCV's order k1 k2 p1 p2 k3. Error: size, focal length, centre or coefficient that is not finite
+  /// or absurd (a focal length of zero or less, a centre outside the picture, distortion that folds inside the
+  /// picture).
   static rt::Result<CameraModel> pinhole_radtan(int width, int height, double fx, double fy, double cx, double cy,
                                                 const std::array<double, 5>& distortion);
   /// Distortion k1..k4. Errors as above.

@@ -11,7 +11,8 @@ namespace godwit::vo {
 /// SIMD; may read, not use, up to rt::kRowAlignment bytes behind a row of src. No allocation.
 void half_sample(const rt::ImageView& src, const rt::MutableImageView& dst);
 
-/// Bytes that build_pyramid needs for levels 1..levels-1 of a width x height picture, rows aligned to rt::kRowAlignment.
+/// Bytes that build_pyramid needs for levels 1..levels-1 of a width x height picture, rows aligned to
+/// rt::kRowAlignment.
 std::size_t pyramid_bytes(int width, int height, int levels);
 
 /// Builds levels 1..levels-1 into storage (aligned to rt::kRowAlignment, at least pyramid_bytes long) and returns the

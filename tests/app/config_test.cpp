@@ -4,8 +4,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "tests/support/temp_folder.h"
-
 namespace godwit::app {
 namespace {
 
@@ -68,9 +66,7 @@ TEST(Config, AFileThatIsNotThereIsAMistake) {
 }
 
 TEST(Config, TheCommentedFileHoldsExactlyTheDefaults) {
-  const char* root = std::getenv("GODWIT_SOURCE_DIR");
-  ASSERT_NE(root, nullptr) << "ctest sets GODWIT_SOURCE_DIR";
-  const ConfigReport report = load_config(std::string(root) + "/config/godwit.toml");
+  const ConfigReport report = load_config(GODWIT_CONFIG_FILE);
   ASSERT_TRUE(report.ok()) << report.mistakes[0];
   EXPECT_EQ(report.config.pipeline.frame_slots, Config{}.pipeline.frame_slots);
   EXPECT_EQ(report.config.pipeline.mapper_delay_frames, Config{}.pipeline.mapper_delay_frames);

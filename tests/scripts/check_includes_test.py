@@ -1,12 +1,11 @@
 """scripts/check_includes finds what breaks the rules, and only that."""
 import importlib.machinery
 import importlib.util
-import os
 import pathlib
 import tempfile
 import unittest
 
-ROOT = pathlib.Path(os.environ.get('GODWIT_SOURCE_DIR', pathlib.Path(__file__).resolve().parents[2]))
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 def load(path):

@@ -1,14 +1,13 @@
 """scripts/evaluate against trajectories whose error is known."""
 import importlib.machinery
 import importlib.util
-import os
 import pathlib
 import tempfile
 import unittest
 
 import numpy as np
 
-ROOT = pathlib.Path(os.environ.get('GODWIT_SOURCE_DIR', pathlib.Path(__file__).resolve().parents[2]))
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 loader = importlib.machinery.SourceFileLoader('evaluate', str(ROOT / 'scripts' / 'evaluate'))
 evaluate = importlib.util.module_from_spec(importlib.util.spec_from_loader('evaluate', loader))
 loader.exec_module(evaluate)
