@@ -9,6 +9,7 @@
 
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/replay_command.h"
+#include "firmware_app/commands/sim_command.h"
 
 namespace {
 
@@ -30,11 +31,14 @@ int run(int argc, char** argv) {
       "configuration, calibration or sequence is wrong); 130 interrupted.");
   ReplayArguments replay;
   add_replay_command(&app, &replay);
+  SimArguments sim;
+  add_sim_command(&app, &sim);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kExitDone : kExitRefused;
   }
+  if (app.got_subcommand("sim")) return run_sim(sim, stop);
   return run_replay(replay, stop);
 }
 

@@ -1,0 +1,85 @@
+#include "firmware_app/commands/sim_command.h"
+
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <CLI/Validators.hpp>
+#include <filesystem>
+#include <fmt/format.h>
+
+#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/output/flight_writer.h"
+
+namespace godwit::app {
+namespace {
+
+std::filesystem::path scenario_folder(const FlightArguments& a) {
+  if (!a.folder.empty()) return a.folder;
+  std::error_code missing;
+  const std::filesystem::path here = "config/scenarios";
+  return std::filesystem::is_directory(here, missing) ? here : std::filesystem::path(GODWIT_SCENARIO_DIR);
+}
+
+}  // namespace
+
+void add_flight_options(CLI::App* command, FlightArguments* a) {
+  command
+      ->add_option("SCENARIO", a->scenario,
+                   "Name of a scenario in config/scenarios (street, survey, night ..), or a TOML file")
+      ->required();
+  command
+      ->add_option("--seed", a->seed, "Another seed is another world, wind and noise; equal seeds give equal flights")
+      ->type_name("N")
+      ->capture_default_str();
+  command->add_option("--scenarios", a->folder, "Folder in which scenarios are looked up")->type_name("DIR");
+}
+
+rt::Result<std::unique_ptr<sim::Flight>> make_flight(const FlightArguments& a) {
+  const rt::Result<sim::Scenario> scenario = sim::find_scenario(a.scenario, scenario_folder(a));
+  if (!scenario) return scenario.error();
+  auto flight = std::make_unique<sim::Flight>(scenario.value(), a.seed);
+  if (const rt::Result<void> clear = sim::check_clearance(*flight); !clear) return clear.error();
+  return flight;
+}
+
+void add_sim_command(CLI::App* app, SimArguments* a) {
+  CLI::App* command =
+      app->add_subcommand("sim", "Write a simulated flight, with its truth, as a TUM and EuRoC/ASL folder");
+  add_flight_options(command, &a->flight);
+  command->add_option("--out", a->out, "Folder to write, made if it is not there")->type_name("DIR")->required();
+  command->add_option("--format", a->format, "Pictures: jpg (quality 95) or png (lossless)")
+      ->check(CLI::IsMember({"jpg", "png"}))
+      ->capture_default_str();
+  command->add_option("--start", a->start, "Leave out the first N pictures")
+      ->type_name("N")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  command->add_option("--frames", a->frames, "Stop after N pictures (default: all)")
+      ->type_name("N")
+      ->check(CLI::PositiveNumber);
+  command->footer(
+      "Writes mav0/ (EuRoC/ASL), rgb.txt, camera.yaml, groundtruth.txt (camera), groundtruth_body.txt, imu.txt, "
+      "boxes.csv\n"
+      "(true boxes of people, cars and trucks), range.csv and gnss.csv; rgb.txt comes last.\n"
+      "Example: godwit sim street --seed 7 --out out/street && godwit replay out/street --out out/street_run");
+}
+
+int run_sim(const SimArguments& a, const std::atomic<bool>& stop) {
+  const auto flight = make_flight(a.flight);
+  if (!flight) {
+    fmt::print(stderr, "godwit: {}\n", flight.error().message);
+    return kExitRefused;
+  }
+  const auto written = write_flight(*flight.value(), {a.out, a.format == "png", a.start, a.frames}, stop);
+  if (!written) {
+    fmt::print(stderr, "godwit: {}\n", written.error().message);
+    return stop.load(std::memory_order_relaxed) ? kExitInterrupted : kExitFailed;
+  }
+  const FlightWritten& w = written.value();
+  fmt::print("{} (seed {}): {:.1f} s, {:.1f} m, {} pictures", a.flight.scenario, a.flight.seed, w.seconds, w.path_m,
+             w.pictures);
+  if (w.dropped > 0) fmt::print(", {} dropped", w.dropped);
+  fmt::print("; {:.1f} ms of one processor a picture; written to {}\n", w.render_ms, a.out);
+  return kExitDone;
+}
+
+}  // namespace godwit::app
