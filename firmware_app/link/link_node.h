@@ -103,6 +103,7 @@ class LinkNode {
   const LinkStatus& status() const { return status_; }
   mavlink::Endpoint& endpoint() { return endpoint_; }
   const dronecan::Node& node() const { return node_; }
+  const ParameterSet& parameters() const { return parameters_; }
 
   static constexpr int kMaxFramesPerStep = 256;
 

@@ -1,0 +1,307 @@
+#include "firmware_app/link/doctor.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace godwit::link {
+namespace {
+
+constexpr int kExternalNav = 6;
+constexpr int kBarometer = 1;
+constexpr int kCompass = 1;
+constexpr double kDelayToleranceMs = 5;
+constexpr rt::TimeNs kPatienceNs = 400 * rt::kNsPerMs;
+constexpr int kTries = 5;
+
+std::string plain(double value) {
+  std::string text = std::to_string(value);
+  text.erase(text.find_last_not_of('0') + 1);
+  if (text.back() == '.') text.pop_back();
+  return text;
+}
+
+class Examination {
+ public:
+  explicit Examination(const std::map<std::string, double>& parameters) : parameters_(parameters) {}
+
+  std::optional<double> value(const std::string& name) const {
+    const auto found = parameters_.find(name);
+    return found == parameters_.end() ? std::nullopt : std::optional<double>(found->second);
+  }
+  void add(Severity severity, const std::string& name, double wanted, const std::string& why) {
+    const std::string words =
+        name + " is " + plain(*value(name)) + ": " + why + ". Set " + name + " " + plain(wanted) + ".";
+    findings.push_back({severity, name, words, wanted});
+  }
+  /// An error unless the parameter has this value; a finding of its own where the autopilot did not tell.
+  void must(const std::string& name, double wanted, const std::string& why, Severity severity = Severity::kError) {
+    if (!value(name)) {
+      unknown(name);
+    } else if (std::abs(*value(name) - wanted) > 1e-4) {
+      add(severity, name, wanted, why);
+    }
+  }
+  void unknown(const std::string& name) {
+    findings.push_back({Severity::kUnknown, name,
+                        "The autopilot did not tell " + name +
+                            ": it may need a restart after what enables it, or an ArduPilot of 4.5 or later.",
+                        std::nullopt});
+  }
+  std::vector<Finding> findings;
+
+ private:
+  const std::map<std::string, double>& parameters_;
+};
+
+void examine_can(Examination* e, const DoctorConfig& config) {
+  e->must("CAN_P1_DRIVER", 1, "the first CAN port has no driver (restart the autopilot afterwards)");
+  e->must("CAN_D1_PROTOCOL", 1, "the first CAN driver does not speak DroneCAN (restart the autopilot afterwards)");
+  e->must("CAN_D1_UC_SER_EN", 1,
+          "serial ports over DroneCAN are off, so no MAVLink comes through the tunnel (restart afterwards)");
+  e->must("CAN_D1_UC_S1_NOD", config.node_id, "the tunnel listens to another node than ours");
+  e->must("CAN_D1_UC_S1_IDX", config.serial_index, "the tunnel listens to another serial index than VIO_SER_IDX");
+  e->must("CAN_D1_UC_S1_PRO", 2, "the tunnel does not speak MAVLink 2");
+  // The autopilot dates a message back by 10 bits a byte at this rate: 20 ms for a pose at 115200.
+  if (const auto baud = e->value("CAN_D1_UC_S1_BD"); !baud) {
+    e->unknown("CAN_D1_UC_S1_BD");
+  } else if (*baud < 921 || (*baud > 2000 && *baud < 921600)) {
+    e->add(Severity::kWarning, "CAN_D1_UC_S1_BD", 921,
+           "the autopilot takes poses for older than they are by the time a serial line of this rate would need");
+  }
+}
+
+void examine_visual_odometry(Examination* e, const DoctorConfig& config) {
+  if (const auto type = e->value("VISO_TYPE"); !type) {
+    e->unknown("VISO_TYPE");
+  } else if (*type < 1 || *type > 3) {
+    e->add(Severity::kError, "VISO_TYPE", 3, "visual odometry is off");
+  } else if (*type < 3) {
+    e->add(Severity::kWarning, "VISO_TYPE", 3,
+           *type < 2 ? "a reset of ours makes the position jump, and arming does not compare attitudes"
+                     : "a second of poses is dropped after each reset");
+  }
+  if (const auto quality = e->value("VISO_QUAL_MIN"); !quality) {
+    e->unknown("VISO_QUAL_MIN");
+  } else if (*quality < 0) {
+    e->add(Severity::kError, "VISO_QUAL_MIN", 10, "poses that failed (quality -1) are fused");
+  } else if (*quality < 1 || *quality > 50) {
+    e->add(Severity::kWarning, "VISO_QUAL_MIN", 10,
+           *quality < 1 ? "the poorest poses are fused with full weight"
+                        : "good poses (quality 50 and below while coasting) are refused");
+  }
+  if (const auto delay = e->value("VISO_DELAY_MS"); !delay) {
+    e->unknown("VISO_DELAY_MS");
+  } else if (config.viso_delay_ms && std::abs(*delay - *config.viso_delay_ms) > kDelayToleranceMs) {
+    e->add(Severity::kError, "VISO_DELAY_MS", *config.viso_delay_ms,
+           "the smallest latency measured now is " + std::to_string(*config.viso_delay_ms) + " ms");
+  }
+  // Our poses are those of the body's origin; with an offset set here the arm would be counted twice.
+  if (config.t_body_cam.norm() > 1e-3) {
+    for (const char* name : {"VISO_POS_X", "VISO_POS_Y", "VISO_POS_Z"}) {
+      e->must(name, 0, "T_body_cam of godwit already holds the place of the camera");
+    }
+  }
+}
+
+void examine_sources(Examination* e) {
+  e->must("AHRS_EKF_TYPE", 3, "EKF3, which alone takes external vision as a source, is not in use");
+  e->must("EK3_ENABLE", 1, "EKF3 is off (restart the autopilot afterwards)");
+  int sets = 0;
+  bool told = false;
+  for (const char set : {'1', '2', '3'}) {
+    const std::string prefix = std::string("EK3_SRC") + set + "_";
+    const auto position = e->value(prefix + "POSXY");
+    if (!position) continue;
+    told = true;
+    if (*position != kExternalNav) continue;
+    ++sets;
+    e->must(prefix + "VELXY", kExternalNav, "this source set takes position from vision but velocity from elsewhere",
+            Severity::kWarning);
+    e->must(prefix + "VELZ", kExternalNav, "this source set takes position from vision but climb rate from elsewhere",
+            Severity::kWarning);
+    const auto height = e->value(prefix + "POSZ"), yaw = e->value(prefix + "YAW");
+    if (!height) {
+      e->unknown(prefix + "POSZ");
+    } else if (*height != kExternalNav && *height != kBarometer) {
+      e->add(Severity::kWarning, prefix + "POSZ", kExternalNav,
+             "height comes neither from vision nor from the barometer");
+    }
+    if (!yaw) {
+      e->unknown(prefix + "YAW");
+    } else if (*yaw != kExternalNav && *yaw != kCompass) {
+      e->add(Severity::kError, prefix + "YAW", kExternalNav, "heading comes neither from vision nor from the compass");
+    }
+  }
+  if (!told) {
+    e->unknown("EK3_SRC1_POSXY");
+  } else if (sets == 0) {
+    const std::string name = e->value("EK3_SRC2_POSXY") ? "EK3_SRC2_POSXY" : "EK3_SRC1_POSXY";
+    e->add(Severity::kError, name, kExternalNav,
+           "no source set takes its position from vision (6), so poses are received and never used; "
+           "set VELXY, POSZ, VELZ and YAW of the same set as well");
+  }
+}
+
+Eigen::Matrix3d rotation_of(const Eigen::Vector4d& q) {
+  return Eigen::Quaterniond(q(0), q(1), q(2), q(3)).normalized().toRotationMatrix();
+}
+
+Eigen::Vector3d turn_between(const Eigen::Vector4d& from, const Eigen::Vector4d& to) {
+  const Eigen::AngleAxisd turn(rotation_of(from).transpose() * rotation_of(to));
+  return turn.angle() * turn.axis();
+}
+
+// Roll and pitch [degree] of an attitude.
+Eigen::Vector2d tilt(const Eigen::Vector4d& q) {
+  const Eigen::Matrix3d R = rotation_of(q);
+  return Eigen::Vector2d(std::atan2(R(2, 1), R(2, 2)), -std::asin(std::clamp(R(2, 0), -1.0, 1.0))) * (180 / M_PI);
+}
+
+std::string axis_text(const Eigen::Vector3d& v) {
+  Eigen::Index axis = 0;
+  v.cwiseAbs().maxCoeff(&axis);
+  constexpr std::array<const char*, 6> kNames{"front", "right", "down", "back", "left", "up"};
+  return kNames[static_cast<std::size_t>(axis + (v(axis) < 0 ? 3 : 0))];
+}
+
+}  // namespace
+
+const std::vector<std::string>& doctor_parameters() {
+  static const std::vector<std::string> kNames = [] {
+    std::vector<std::string> names{"CAN_P1_DRIVER",    "CAN_D1_PROTOCOL",  "CAN_D1_UC_SER_EN", "CAN_D1_UC_S1_NOD",
+                                   "CAN_D1_UC_S1_IDX", "CAN_D1_UC_S1_PRO", "CAN_D1_UC_S1_BD",  "VISO_TYPE",
+                                   "VISO_DELAY_MS",    "VISO_QUAL_MIN",    "VISO_POS_X",       "VISO_POS_Y",
+                                   "VISO_POS_Z",       "AHRS_EKF_TYPE",    "EK3_ENABLE"};
+    for (const char* set : {"1", "2", "3"}) {
+      for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) {
+        names.push_back(std::string("EK3_SRC") + set + "_" + what);
+      }
+    }
+    return names;
+  }();
+  return kNames;
+}
+
+std::vector<Finding> diagnose(const std::map<std::string, double>& parameters, const DoctorConfig& config) {
+  Examination e(parameters);
+  examine_can(&e, config);
+  examine_visual_odometry(&e, config);
+  examine_sources(&e);
+  return std::move(e.findings);
+}
+
+bool ParameterReader::step(mavlink::Endpoint* endpoint, rt::TimeNs now_ns) {
+  while (const auto answer = endpoint->take_parameter()) {
+    const std::string name(answer->param_id.data(), strnlen(answer->param_id.data(), answer->param_id.size()));
+    if (std::find(wanted_.begin(), wanted_.end(), name) == wanted_.end()) continue;
+    values_[name] = static_cast<double>(answer->param_value);
+  }
+  while (next_ < wanted_.size()) {
+    const bool answered = values_.count(wanted_[next_]) > 0;
+    const bool waiting = tries_ > 0 && now_ns - t_asked_ns_ < kPatienceNs;
+    if (!answered && waiting) return false;
+    if (answered || tries_ >= kTries) {
+      ++next_;
+      tries_ = 0;
+      continue;
+    }
+    endpoint->request_parameter(wanted_[next_], now_ns);
+    t_asked_ns_ = now_ns;
+    ++tries_;
+    return false;
+  }
+  return true;
+}
+
+const char* TiltTest::instruction(Step step) {
+  switch (step) {
+    case Step::kLevel:
+      return "Hold the vehicle level and still.";
+    case Step::kNoseUp:
+      return "Raise the nose by 20 to 60 degrees, without turning or rolling, and hold it still.";
+    case Step::kRightDown:
+      return "From level again, lower the right side by 20 to 60 degrees and hold it still.";
+    case Step::kDone:
+      return "Done.";
+  }
+  return "";
+}
+
+rt::Result<void> TiltTest::hold(const Eigen::Vector4d& autopilot, const Eigen::Vector4d& ours) {
+  if (!autopilot.allFinite() || !ours.allFinite() || autopilot.norm() < 0.5 || ours.norm() < 0.5) {
+    return rt::Error{"tilt test: no attitude from the autopilot or from the camera"};
+  }
+  if (step_ == Step::kLevel) {
+    if (tilt(autopilot).norm() > 10) return rt::Error{"tilt test: the autopilot does not see the vehicle level"};
+    autopilot_level_ = autopilot;
+    our_level_ = ours;
+    step_ = Step::kNoseUp;
+    return {};
+  }
+  if (step_ == Step::kDone) return {};
+  const Eigen::Index index = step_ == Step::kNoseUp ? 0 : 1;
+  const Eigen::Vector3d turn = turn_between(autopilot_level_, autopilot);
+  const Eigen::Vector3d asked = step_ == Step::kNoseUp ? Eigen::Vector3d::UnitY() : Eigen::Vector3d::UnitX();
+  const double degrees = turn.norm() * 180 / M_PI;
+  if (degrees < 15 || degrees > 70 || turn.normalized().dot(asked) < 0.85) {
+    return rt::Error{std::string("tilt test: the autopilot saw another movement. ") + instruction(step_)};
+  }
+  autopilot_turns_.col(index) = turn;
+  our_turns_.col(index) = turn_between(our_level_, ours);
+  step_ = step_ == Step::kNoseUp ? Step::kRightDown : Step::kDone;
+  return {};
+}
+
+std::vector<std::string> TiltTest::result() const {
+  std::vector<std::string> out;
+  if (step_ != Step::kDone) return {"The tilt test is not finished."};
+  // The rotation of axes that makes our turns those of the autopilot: the identity where the mounting is right.
+  const auto error = [&](const Eigen::Matrix3d& S) {
+    return (S * our_turns_ - autopilot_turns_).norm() / autopilot_turns_.norm();
+  };
+  Eigen::Matrix3d best = Eigen::Matrix3d::Identity();
+  for (int x = 0; x < 6; ++x) {
+    for (int y = 0; y < 6; ++y) {
+      const Eigen::Vector3d a = (x < 3 ? 1.0 : -1.0) * Eigen::Vector3d::Unit(x % 3);
+      const Eigen::Vector3d b = (y < 3 ? 1.0 : -1.0) * Eigen::Vector3d::Unit(y % 3);
+      if (std::abs(a.dot(b)) > 0.5) continue;
+      Eigen::Matrix3d S;
+      S << a, b, a.cross(b);
+      if (error(S) < error(best) - 1e-9) best = S;
+    }
+  }
+  constexpr double kFits = 0.25;
+  if (error(best) > kFits) {
+    for (Eigen::Index i = 0; i < 2; ++i) {
+      if (our_turns_.col(i).norm() < 0.5 * autopilot_turns_.col(i).norm()) {
+        out.push_back(std::string("The camera hardly saw the vehicle ") +
+                      (i == 0 ? "raise its nose" : "lower its right side") +
+                      ": is there texture in view, and is it tracking?");
+      }
+    }
+    if (out.empty()) {
+      out.push_back(
+          "No rotation of axes explains what the camera saw: is the picture mirrored, or is the calibration of another "
+          "camera?");
+    }
+    return out;
+  }
+  if (!best.isIdentity(1e-9)) {
+    out.push_back("The axes of T_body_cam are wrong: what godwit takes for front is " + axis_text(best.col(0)) +
+                  ", right is " + axis_text(best.col(1)) + ", down is " + axis_text(best.col(2)) + ".");
+    return out;
+  }
+  const Eigen::Vector2d off = tilt(our_level_) - tilt(autopilot_level_);
+  constexpr double kAngleDegrees = 3;
+  const auto tell = [&](const char* name, double degrees) {
+    if (std::abs(degrees) <= kAngleDegrees) return;
+    out.push_back(std::string("Held level, the ") + name + " by the camera is " + plain(std::round(degrees * 10) / 10) +
+                  " degrees from the autopilot's: correct T_body_cam by that angle.");
+  };
+  tell("roll", off.x());
+  tell("pitch", off.y());
+  return out;
+}
+
+}  // namespace godwit::link

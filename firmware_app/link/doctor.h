@@ -1,0 +1,80 @@
+// What `godwit doctor` knows: which autopilot parameters do not fit, in words with the value to set, and whether the
+// camera is mounted as the configuration says. Pure logic; the command asks the autopilot and prints.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "firmware_app/link/mavlink/endpoint.h"
+#include "firmware_app/link/odometry_message.h"
+#include "hal/rt/time.h"
+
+namespace godwit::link {
+
+struct DoctorConfig {
+  int node_id = 42;      ///< ours
+  int serial_index = 0;  ///< VIO_SER_IDX
+  Eigen::Vector3d t_body_cam = Eigen::Vector3d::Zero();
+  std::optional<int> viso_delay_ms;  ///< measured; absent: not yet
+};
+
+enum class Severity : std::uint8_t {
+  kError,    ///< vision will not be used, or wrongly
+  kWarning,  ///< it works, but not as it should
+  kUnknown   ///< the autopilot did not tell the value
+};
+
+struct Finding {
+  Severity severity = Severity::kError;
+  std::string parameter;
+  std::string words;             ///< a sentence: what is set, what that means, what to set
+  std::optional<double> wanted;  ///< the value to set
+};
+
+/// The parameters that diagnose() looks at.
+const std::vector<std::string>& doctor_parameters();
+
+/// Compares an ArduPilot's parameters with what it needs to fly on our poses. Empty: all fits. Allocates.
+std::vector<Finding> diagnose(const std::map<std::string, double>& parameters, const DoctorConfig& config);
+
+/// Reads parameters one after another over an endpoint, asking again what was not answered.
+class ParameterReader {
+ public:
+  explicit ParameterReader(std::vector<std::string> names) : wanted_(std::move(names)) {}
+  /// Call it after each step of the link. True when all were answered or given up (five tries, 400 ms apart).
+  bool step(mavlink::Endpoint* endpoint, rt::TimeNs now_ns);
+  const std::map<std::string, double>& values() const { return values_; }
+
+ private:
+  std::vector<std::string> wanted_;
+  std::map<std::string, double> values_;
+  std::size_t next_ = 0;
+  int tries_ = 0;
+  rt::TimeNs t_asked_ns_ = 0;
+};
+
+/// The guided tilt test: hold the vehicle level, then nose up, then right side down, each by 20 to 60 degrees. Compares
+/// how the autopilot and we see each turn.
+class TiltTest {
+ public:
+  enum class Step : std::uint8_t { kLevel, kNoseUp, kRightDown, kDone };
+
+  /// What to do now, in words.
+  static const char* instruction(Step step);
+  Step step() const { return step_; }
+  /// The attitudes while the vehicle is held as asked: quaternions w x y z from body (front-right-down) to a level
+  /// frame. Error, and the step stays: the autopilot itself saw another movement than the one asked for.
+  rt::Result<void> hold(const Eigen::Vector4d& autopilot, const Eigen::Vector4d& ours);
+  /// After kDone: what is wrong with the mounting, in words; empty: nothing.
+  std::vector<std::string> result() const;
+
+ private:
+  Step step_ = Step::kLevel;
+  Eigen::Vector4d autopilot_level_{1, 0, 0, 0}, our_level_{1, 0, 0, 0};
+  Eigen::Matrix<double, 3, 2> autopilot_turns_, our_turns_;  // rotation vectors from level, body axes [rad]
+};
+
+}  // namespace godwit::link

@@ -1,0 +1,184 @@
+#include "firmware_app/link/doctor.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/link/fake_bus.h"
+
+namespace godwit::link {
+namespace {
+
+std::map<std::string, double> good() {
+  std::map<std::string, double> p{{"CAN_P1_DRIVER", 1},     {"CAN_D1_PROTOCOL", 1},  {"CAN_D1_UC_SER_EN", 1},
+                                  {"CAN_D1_UC_S1_NOD", 42}, {"CAN_D1_UC_S1_IDX", 0}, {"CAN_D1_UC_S1_PRO", 2},
+                                  {"CAN_D1_UC_S1_BD", 921}, {"VISO_TYPE", 3},        {"VISO_DELAY_MS", 20},
+                                  {"VISO_QUAL_MIN", 10},    {"VISO_POS_X", 0},       {"VISO_POS_Y", 0},
+                                  {"VISO_POS_Z", 0},        {"AHRS_EKF_TYPE", 3},    {"EK3_ENABLE", 1}};
+  for (const char* set : {"1", "2", "3"}) {
+    for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) {
+      p[std::string("EK3_SRC") + set + "_" + what] = std::string(set) == "2" ? 6 : std::string(set) == "1" ? 3 : 0;
+    }
+  }
+  return p;
+}
+
+DoctorConfig config() {
+  DoctorConfig c;
+  c.viso_delay_ms = 22;
+  return c;
+}
+
+TEST(Doctor, FindsNothingWhereAllFits) {
+  EXPECT_TRUE(diagnose(good(), config()).empty());
+}
+
+struct Wrong {
+  const char* name;
+  double value;
+  double wanted;
+  Severity severity;
+};
+
+class DoctorFinds : public ::testing::TestWithParam<Wrong> {};
+
+TEST_P(DoctorFinds, TheOneThatDoesNotFitAndSaysWhatToSet) {
+  auto parameters = good();
+  parameters[GetParam().name] = GetParam().value;
+  DoctorConfig c = config();
+  c.t_body_cam = {0.1, 0, 0};
+  const auto findings = diagnose(parameters, c);
+  ASSERT_EQ(findings.size(), 1U) << (findings.empty() ? "" : findings[1].words);
+  EXPECT_EQ(findings[0].parameter, GetParam().name);
+  EXPECT_EQ(findings[0].severity, GetParam().severity);
+  ASSERT_TRUE(findings[0].wanted.has_value());
+  EXPECT_EQ(*findings[0].wanted, GetParam().wanted);
+  EXPECT_NE(findings[0].words.find("Set " + std::string(GetParam().name) + " "), std::string::npos)
+      << findings[0].words;
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Each, DoctorFinds,
+    ::testing::Values(
+        Wrong{"CAN_P1_DRIVER", 0, 1, Severity::kError}, Wrong{"CAN_D1_PROTOCOL", 0, 1, Severity::kError},
+        Wrong{"CAN_D1_UC_SER_EN", 0, 1, Severity::kError}, Wrong{"CAN_D1_UC_S1_NOD", 43, 42, Severity::kError},
+        Wrong{"CAN_D1_UC_S1_IDX", 1, 0, Severity::kError}, Wrong{"CAN_D1_UC_S1_PRO", 1, 2, Severity::kError},
+        Wrong{"CAN_D1_UC_S1_BD", 115, 921, Severity::kWarning},
+        Wrong{"CAN_D1_UC_S1_BD", 115200, 921, Severity::kWarning}, Wrong{"VISO_TYPE", 0, 3, Severity::kError},
+        Wrong{"VISO_TYPE", 1, 3, Severity::kWarning}, Wrong{"VISO_DELAY_MS", 10, 22, Severity::kError},
+        Wrong{"VISO_QUAL_MIN", -1, 10, Severity::kError}, Wrong{"VISO_QUAL_MIN", 0, 10, Severity::kWarning},
+        Wrong{"VISO_QUAL_MIN", 90, 10, Severity::kWarning}, Wrong{"VISO_POS_X", 0.1, 0, Severity::kError},
+        Wrong{"AHRS_EKF_TYPE", 2, 3, Severity::kError}, Wrong{"EK3_ENABLE", 0, 1, Severity::kError},
+        Wrong{"EK3_SRC2_POSXY", 3, 6, Severity::kError}, Wrong{"EK3_SRC2_VELXY", 3, 6, Severity::kWarning},
+        Wrong{"EK3_SRC2_POSZ", 3, 6, Severity::kWarning}, Wrong{"EK3_SRC2_VELZ", 3, 6, Severity::kWarning},
+        Wrong{"EK3_SRC2_YAW", 0, 6, Severity::kError}));
+
+TEST(Doctor, WhatIsNotToldIsNotCalledRight) {
+  const auto findings = diagnose({}, config());
+  EXPECT_GE(findings.size(), 12U);
+  for (const Finding& f : findings) EXPECT_EQ(f.severity, Severity::kUnknown) << f.words;
+  auto parameters = good();
+  parameters["EK3_SRC2_POSZ"] = 1;
+  parameters["EK3_SRC2_YAW"] = 1;
+  EXPECT_TRUE(diagnose(parameters, config()).empty()) << "barometer and compass may stay";
+}
+
+TEST(Doctor, ReadsParametersOverTheTunnelAndAsksAgain) {
+  LinkHarness h;
+  h.heartbeat(false);
+  h.run(0.1);
+  ParameterReader reader({"VISO_TYPE", "VISO_DELAY_MS", "NO_SUCH"});
+  int asked = 0;
+  bool done = false;
+  for (int i = 0; i < 5000 && !done; ++i) {
+    done = reader.step(&h.link->endpoint(), h.now);
+    h.step();
+    // The autopilot answers each second question only.
+    const std::size_t before = h.decoded;
+    h.decoder->set_node_id(kTestAutopilot);
+    for (; h.decoded < h.bus.sent.size(); ++h.decoded) {
+      dronecan::Transfer transfer;
+      dronecan::TunnelTargetted tunnel;
+      if (!h.decoder->accept(h.bus.sent[h.decoded].second, h.now, &transfer) ||
+          transfer.type_id != dronecan::TunnelTargetted::kType.id ||
+          transfer.kind != dronecan::TransferKind::kMessage ||
+          !dronecan::decode(transfer.payload, transfer.fd, &tunnel)) {
+        continue;
+      }
+      h.parser.feed(tunnel.buffer.view(), [&](const mavlink::RawMessage& raw) {
+        if (raw.id != mavlink::ParamRequestRead::kId) return;
+        mavlink::ParamRequestRead question;
+        mavlink::decode(raw, &question);
+        EXPECT_EQ(question.target_system, 7);
+        EXPECT_EQ(question.param_index, -1);
+        if (++asked % 2 == 1 || question.param_id[0] == 'N') return;
+        mavlink::ParamValue answer;
+        answer.param_id = question.param_id;
+        answer.param_value = question.param_id[5] == 'T' ? 3.0F : 25.0F;
+        h.send_mavlink(answer);
+      });
+    }
+    EXPECT_GE(h.decoded, before);
+  }
+  EXPECT_TRUE(done);
+  EXPECT_EQ(asked, 2 + 2 + 5);
+  EXPECT_EQ(reader.values(), (std::map<std::string, double>{{"VISO_TYPE", 3}, {"VISO_DELAY_MS", 25}}));
+}
+
+Eigen::Vector4d quaternion(const Eigen::Matrix3d& R) {
+  const Eigen::Quaterniond q(R);
+  return {q.w(), q.x(), q.y(), q.z()};
+}
+
+Eigen::Matrix3d turn(double degrees, const Eigen::Vector3d& axis) {
+  return Eigen::AngleAxisd(degrees * M_PI / 180, axis).toRotationMatrix();
+}
+
+// The test as a user does it, with a camera whose mounting is wrong by S: our body axes are S^T of the true ones.
+std::vector<std::string> tilt_result(const Eigen::Matrix3d& S, double scale = 1) {
+  TiltTest test;
+  const Eigen::Matrix3d heading = turn(40, Eigen::Vector3d::UnitZ()), other = turn(-75, Eigen::Vector3d::UnitZ());
+  for (const auto& [degrees, axis] : {std::pair{0.0, Eigen::Vector3d(0, 1, 0)}, {30.0, {0, 1, 0}}, {25.0, {1, 0, 0}}}) {
+    const auto held =
+        test.hold(quaternion(heading * turn(degrees, axis)), quaternion(other * turn(degrees * scale, axis) * S));
+    EXPECT_TRUE(held.ok()) << held.error().message;
+  }
+  EXPECT_EQ(test.step(), TiltTest::Step::kDone);
+  return test.result();
+}
+
+TEST(TiltTest, RightMountingIsFoundRight) {
+  EXPECT_TRUE(tilt_result(Eigen::Matrix3d::Identity()).empty());
+}
+
+TEST(TiltTest, WrongAxesAreNamed) {
+  const auto yawed = tilt_result(turn(90, Eigen::Vector3d::UnitZ()));
+  ASSERT_EQ(yawed.size(), 1U);
+  EXPECT_NE(yawed[0].find("front is right"), std::string::npos) << yawed[0];
+  EXPECT_NE(yawed[0].find("right is back"), std::string::npos) << yawed[0];
+  const auto upside_down = tilt_result(turn(180, Eigen::Vector3d::UnitX()));
+  ASSERT_EQ(upside_down.size(), 1U);
+  EXPECT_NE(upside_down[0].find("down is up"), std::string::npos) << upside_down[0];
+}
+
+TEST(TiltTest, SmallMountingErrorsAreMeasured) {
+  const auto pitched = tilt_result(turn(8, Eigen::Vector3d::UnitY()));
+  ASSERT_EQ(pitched.size(), 1U);
+  EXPECT_NE(pitched[0].find("pitch"), std::string::npos);
+  EXPECT_NE(pitched[0].find(" 8 degrees"), std::string::npos) << pitched[0];
+}
+
+TEST(TiltTest, AWrongMovementAndABlindCameraAreTold) {
+  TiltTest test;
+  const Eigen::Vector4d level(1, 0, 0, 0);
+  EXPECT_FALSE(test.hold(quaternion(turn(20, Eigen::Vector3d::UnitX())), level).ok());
+  EXPECT_TRUE(test.hold(level, level).ok());
+  const auto wrong = test.hold(quaternion(turn(30, Eigen::Vector3d::UnitX())), level);
+  ASSERT_FALSE(wrong.ok());
+  EXPECT_NE(wrong.error().message.find("nose"), std::string::npos);
+  EXPECT_EQ(test.step(), TiltTest::Step::kNoseUp);
+  const auto blind = tilt_result(Eigen::Matrix3d::Identity(), 0.05);
+  ASSERT_FALSE(blind.empty());
+  EXPECT_NE(blind[0].find("hardly saw"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace godwit::link
