@@ -8,13 +8,14 @@ import bisect
 import json
 import math
 import os
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, uavcan  # noqa: E402
+from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, mavlink, uavcan  # noqa: E402
 
 FAILURES = []
 LATE_START = 19  # a process that starts in the middle of somebody's transfer counts each frame of the rest
@@ -301,6 +302,60 @@ def lost_and_stalled(program):
     check(back - last < 1.0 + 0.5, "poses again %.0f ms after the pictures came back" % (1e3 * (back - last - 1.0)))
 
 
+def interface_removed(program):
+    print("interface down from 3 to 4.5 s")
+    sniffer = Sniffer(0)
+    process = start(program, "--seconds", "8")
+    time.sleep(3)
+    subprocess.run(["ip", "link", "set", "lo", "down"], check=True)
+    down = time.monotonic()
+    time.sleep(1.5)
+    subprocess.run("ip link set lo up && ip link set lo multicast on && ip route replace 239.0.0.0/8 dev lo", shell=True, check=True)
+    up = time.monotonic()
+    result, code = finish(process)
+    samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    check(code == 0 and sum(t < down for t, _ in samples) > 60, "flies before, and is no worse for it")
+    after = [(t, m) for t, m in samples if t > up]
+    check(after and after[0][0] - up < 1.0, "poses again %.0f ms after it came back" % (1e3 * (after[0][0] - up) if after else -1))
+    check(all(t - m.time_usec * 1e-6 < 0.4 for t, m in after), "none of them old")
+
+
+def px4(program):
+    print("PX4 over UDP")
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind(("127.0.0.1", 14777))
+    sock.settimeout(0.05)
+    parser, mav = mavlink.MAVLink(None), mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+    process = subprocess.Popen([program, "--mavlink", "udp:127.0.0.1:14777:14778", "--seconds", "5", "--set", "VIO_PROFILE=1"],
+                               stdout=subprocess.PIPE, text=True)
+    samples, systems, asked, answers, next_beat = [], set(), None, 0, 0
+    end = time.monotonic() + 5
+    while time.monotonic() < end:
+        if time.monotonic() > next_beat:
+            next_beat = time.monotonic() + 0.5
+            asked = time.monotonic_ns()
+            for m in (mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3), mavlink.MAVLink_timesync_message(0, asked)):
+                sock.sendto(m.pack(mav), ("127.0.0.1", 14778))
+        try:
+            data = sock.recv(2048)
+        except socket.timeout:
+            continue
+        for m in parser.parse_buffer(data) or []:
+            if m.get_type() == "ODOMETRY":
+                samples.append((time.monotonic(), m))
+                systems.add((m.get_srcSystem(), m.get_srcComponent()))
+            elif m.get_type() == "TIMESYNC" and m.tc1 == 0:
+                sock.sendto(mavlink.MAVLink_timesync_message(time.monotonic_ns(), m.ts1).pack(mav), ("127.0.0.1", 14778))
+            elif m.get_type() == "TIMESYNC" and m.ts1 == asked:
+                answers += 1
+    result, code = finish(process)
+    check(code == 0 and len(samples) > 120, "%d ODOMETRY by UDP" % len(samples))
+    check(all((m.frame_id, m.child_frame_id) == (1, 12) for _, m in samples), "LOCAL_NED / BODY_FRD")
+    check(all(abs(t - m.time_usec * 1e-6) < 0.5 and m.quality > 0 and m.z < 0 for t, m in samples), "fields as they should be")
+    check((3, 197) in systems, "under the autopilot's system id, component 197")
+    check(answers >= 5 and result["latency_p50_ms"] > 4.9, "TIMESYNC both ways; latency p50 %.2f ms, VISO_DELAY_MS has no correction: %d" % (result["latency_p50_ms"], result["viso_delay_ms"]))
+
+
 def unscaled(program):
     print("without scale")
     sniffer, ap = Sniffer(0), EmulatedAutopilot()
@@ -325,6 +380,8 @@ def main():
              "odometry": lambda: odometry(args.program, args.seconds, False),
              "odometry_fd": lambda: odometry(args.program, args.seconds, True),
              "lost": lambda: lost_and_stalled(args.program),
+             "interface": lambda: interface_removed(args.program),
+             "px4": lambda: px4(args.program),
              "unscaled": lambda: unscaled(args.program)}
     for name, case in cases.items():
         if not args.only or name in args.only.split(","):

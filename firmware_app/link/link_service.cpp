@@ -1,0 +1,74 @@
+#include "firmware_app/link/link_service.h"
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+namespace godwit::link {
+
+rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& settings) {
+  std::unique_ptr<LinkService> self(new LinkService(settings));
+  if (!settings.can.empty()) {
+    auto bus = hal::open_can(settings.can);
+    if (!bus.ok()) return bus.error();
+    self->bus_ = std::move(bus).value();
+  }
+  if (!settings.mavlink.empty()) {
+    auto port = open_byte_port(settings.mavlink);
+    if (!port.ok()) return port.error();
+    self->bytes_ = std::move(port).value();
+  }
+  const auto stored = self->storage_.load(settings.link.parameters);
+  if (!stored.ok()) return stored.error();
+  LinkConfig config = settings.link;
+  if (config.identity.unique_id == dronecan::UniqueId{}) {
+    std::ifstream file("/etc/machine-id");
+    const std::string machine_id(std::istreambuf_iterator<char>(file), {});
+    if (machine_id.empty()) {
+      return rt::Error{
+          "link: /etc/machine-id is missing or empty, so this node has no stable unique id; "
+          "systemd-machine-id-setup makes one"};
+    }
+    config.identity.unique_id = dronecan::unique_id_from(machine_id);
+  }
+  self->wake_fd_ = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
+  if (self->wake_fd_ < 0) return rt::Error{"link: eventfd: " + std::string(std::strerror(errno))};
+  auto node = LinkNode::create(config,
+                               {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
+                                &self->inputs_, &self->status_},
+                               stored.value());
+  if (!node.ok()) return node.error();
+  self->node_ = std::move(node).value();
+  return self;
+}
+
+LinkService::~LinkService() {
+  if (wake_fd_ >= 0) close(wake_fd_);
+}
+
+std::vector<std::string> LinkService::advice() const {
+  return bus_ ? bus_->advice() : std::vector<std::string>();
+}
+
+void LinkService::publish(const PoseSample& sample) {
+  poses_.write(sample);
+  const std::uint64_t one = 1;
+  // Refused only when the counter is full, and then the link thread is awake or about to be.
+  static_cast<void>(write(wake_fd_, &one, sizeof one) == sizeof one);
+}
+
+void LinkService::wait(rt::TimeNs timeout_ns) {
+  // poll passes over descriptors below zero: a bus that is gone or not there.
+  std::array<pollfd, 3> events{pollfd{wake_fd_, POLLIN, 0}, pollfd{bus_ ? bus_->descriptor() : -1, POLLIN, 0},
+                               pollfd{bytes_ ? bytes_->descriptor() : -1, POLLIN, 0}};
+  const timespec timeout{timeout_ns / rt::kNsPerSecond, timeout_ns % rt::kNsPerSecond};
+  ppoll(events.data(), events.size(), &timeout, nullptr);
+  std::uint64_t posts = 0;
+  static_cast<void>(read(wake_fd_, &posts, sizeof posts) == sizeof posts);
+}
+
+}  // namespace godwit::link

@@ -1,0 +1,63 @@
+// The link with everything it needs: opens the bus or port, reads what was kept, owns the buffers between threads. What
+// a command that flies creates; the link thread calls wait() and step(), a thread that may block calls serve_storage().
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "firmware_app/link/link_node.h"
+
+namespace godwit::link {
+
+struct LinkSettings {
+  std::string can;           ///< "multicast:N" or "socketcan:IFACE"; empty: no bus
+  std::string mavlink;       ///< "udp:HOST:PORT" or "serial:DEVICE:BAUD"; empty: through the tunnel on the bus
+  std::string state_folder;  ///< where parameters and reset counter are kept; must exist; empty: nothing is kept
+  LinkConfig link;           ///< identity.unique_id all zeros: made from /etc/machine-id
+};
+
+class LinkService {
+ public:
+  /// Blocks and allocates; before arming. The error names what is wrong and the remedy where there is one.
+  static rt::Result<std::unique_ptr<LinkService>> open(const LinkSettings& settings);
+  ~LinkService();
+  LinkService(const LinkService&) = delete;
+  LinkService& operator=(const LinkService&) = delete;
+
+  /// What the user should change about the interface, found when it was opened; for the log.
+  std::vector<std::string> advice() const;
+
+  /// Tracker thread: the newest pose, and a wake-up for the link thread. No allocation, no lock, no blocking call.
+  void publish(const PoseSample& sample);
+  /// One other thread, whoever watches the machine.
+  void publish(const SystemHealth& health) { health_.write(health); }
+  /// The pipeline: what the autopilot told, oldest first; false where nothing waits.
+  bool take_input(AutopilotInput* input) { return inputs_.try_pop(input); }
+  /// A thread for log and display: the newest status; false where it has been read already.
+  bool take_status(LinkStatus* status) { return status_.read(status); }
+
+  /// Link thread: sleeps until a pose or a frame comes, at most timeout_ns (5 ms at most are wise: step() keeps time).
+  void wait(rt::TimeNs timeout_ns);
+  /// Link thread. No allocation, no lock, no blocking call.
+  void step(rt::TimeNs now_ns) { node_->step(now_ns); }
+  /// A thread that may block, some ten times a second.
+  void serve_storage() { storage_.serve(); }
+
+  LinkNode& node() { return *node_; }
+
+ private:
+  explicit LinkService(const LinkSettings& settings) : storage_(settings.state_folder) {}
+
+  Storage storage_;
+  std::unique_ptr<hal::CanBus> bus_;
+  std::unique_ptr<BytePort> bytes_;
+  rt::TripleBuffer<PoseSample> poses_;
+  rt::TripleBuffer<SystemHealth> health_;
+  rt::TripleBuffer<LinkStatus> status_;
+  InputRing inputs_;
+  std::unique_ptr<LinkNode> node_;
+  int wake_fd_ = -1;
+};
+
+}  // namespace godwit::link
