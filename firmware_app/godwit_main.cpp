@@ -8,6 +8,7 @@
 #include <exception>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/commands/fly_command.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
 
@@ -31,6 +32,8 @@ int run(int argc, char** argv) {
       "configuration, calibration or sequence is wrong); 130 interrupted.");
   ReplayArguments replay;
   add_replay_command(&app, &replay);
+  FlyArguments fly;
+  add_fly_command(&app, &fly);
   SimArguments sim;
   add_sim_command(&app, &sim);
   try {
@@ -38,6 +41,7 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kExitDone : kExitRefused;
   }
+  if (app.got_subcommand("fly")) return run_fly(fly, stop);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
   return run_replay(replay, stop);
 }

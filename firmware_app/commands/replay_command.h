@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <string>
 
+#include "firmware_app/config.h"
+
 namespace godwit::app {
 
 struct ReplayArguments {
@@ -22,6 +24,11 @@ struct ReplayArguments {
 
 /// Describes the command to the parser; *arguments outlives it.
 void add_replay_command(CLI::App* app, ReplayArguments* arguments);
+
+/// The options that every command has that runs a camera through the pipeline: all but SEQUENCE.
+void add_run_options(CLI::App* command, ReplayArguments* arguments);
+/// Tells what is wrong with them, or reads the configuration they name into *config. False: refused.
+bool check_run_arguments(const ReplayArguments& arguments, Config* config);
 
 /// Runs it; ends early when *stop becomes true. Returns an ExitCode.
 int run_replay(const ReplayArguments& arguments, const std::atomic<bool>& stop);

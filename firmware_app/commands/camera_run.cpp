@@ -1,0 +1,110 @@
+#include "firmware_app/commands/camera_run.h"
+
+#include <fmt/format.h>
+
+#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/output/progress_bar.h"
+#include "firmware_app/output/run_writer.h"
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/pipeline/pipeline.h"
+
+namespace godwit::app {
+namespace {
+
+/// Passes the frames on and shows how far the run is.
+class ShowingSink final : public FrameSink {
+ public:
+  ShowingSink(FrameSink* next, ProgressBar* bar) : next_(next), bar_(bar) {}
+  rt::Result<void> take(const FrameRecord& record) override {
+    bar_->show(++done_, record.state);
+    return next_->take(record);
+  }
+
+ private:
+  FrameSink* next_;
+  ProgressBar* bar_;
+  std::int64_t done_ = 0;
+};
+
+void tell(const RunWriter& writer, const std::string& folder) {
+  const RunSummary s = writer.summary();
+  const std::uint64_t lost = s.counters.due - s.counters.processed;
+  fmt::print("{} frames, {} tracked ({:.2f} %), {} map{}\n", s.counters.due, s.tracked, 100.0 * s.tracked_share, s.maps,
+             s.maps == 1 ? "" : "s");
+  if (s.first_pose_frames >= 0) {
+    fmt::print("first pose after {} frames ({:.0f} ms); from there on {:.2f} % tracked\n", s.first_pose_frames,
+               s.first_pose_ms, 100.0 * s.tracked_share_after_first);
+    fmt::print(
+        "tracking a frame: median {:.2f} ms, p95 {:.2f}, p99 {:.2f}, max {:.2f}; processor time with mapping: "
+        "mean {:.2f} ms\n",
+        s.ms.median, s.ms.p95, s.ms.p99, s.ms.max, s.proc_cpu_ms.mean);
+  } else {
+    fmt::print("no pose was found\n");
+  }
+  if (lost > 0) {
+    fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,
+               s.counters.dropped_slots + s.counters.dropped_late);
+    for (const std::string& reason : writer.bad_reasons()) fmt::print("  {}\n", reason);
+    if (lost > writer.bad_reasons().size()) fmt::print("  ... (all are in frames.csv)\n");
+  }
+  fmt::print("peak memory {:.0f} MB; written to {}: trajectory.tum frames.csv pose.csv summary.json\n",
+             peak_memory_mb(), folder);
+}
+
+}  // namespace
+
+int refuse(const std::string& message) {
+  fmt::print(stderr, "godwit: {}\n", message);
+  return kExitRefused;
+}
+
+int failed(const std::string& message) {
+  fmt::print(stderr, "godwit: {}\n", message);
+  return kExitFailed;
+}
+
+int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, const Config& config,
+               const CameraRunPlan& plan, const std::atomic<bool>& stop) {
+  auto model = make_camera_model(calibration);
+  if (!model) return refuse(plan.calibration_name + ": " + model.error().message);
+
+  rt::FramePool::Layout layout;
+  layout.width = calibration.width;
+  layout.height = calibration.height;
+  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
+  layout.slots = config.pipeline.frame_slots;
+  if (layout.slots == 0) layout.slots = odometry_frame_slots();
+  layout.readers = kFrameReaders;
+  auto pool = rt::FramePool::create(layout);
+  if (!pool) return refuse(pool.error().message);
+
+  OdometryOptions odometry;
+  odometry.readout_frames = calibration.readout_frames;
+  if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
+  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get());
+
+  PipelineOptions pipeline;
+  pipeline.sequential = plan.sequential;
+  pipeline.newest_frame = plan.pace == "real";
+  RunWriter writer;
+  auto opened = writer.open(plan.out, pipeline.newest_frame);
+  if (!opened) return failed(opened.error().message);
+  rt::Result<PipelineCounters> run = rt::Error{""};
+  {
+    ProgressBar bar(plan.total);
+    ShowingSink sink(&writer, &bar);
+    run = run_pipeline(camera, stage.get(), pool.value().get(), pipeline, &sink, stop);
+  }
+  if (!run) return failed(run.error().message);
+  if (stop.load(std::memory_order_relaxed)) {
+    fmt::print(stderr, "godwit: interrupted; nothing was written\n");
+    return kExitInterrupted;
+  }
+  auto finished =
+      writer.finish({GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads", plan.pace, plan.start});
+  if (!finished) return failed(finished.error().message);
+  tell(writer, plan.out);
+  return kExitDone;
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,35 @@
+// Any camera through the pipeline into a folder of results: what replay and fly have in common.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+
+#include "firmware_app/config.h"
+#include "hal/camera/calibration.h"
+#include "hal/camera/camera.h"
+
+namespace godwit::app {
+
+/// How a run goes and what its summary says of it.
+struct CameraRunPlan {
+  std::string source;            ///< sequence or scenario, for the summary
+  std::string calibration_name;  ///< file or scenario, for errors
+  std::string out;
+  std::string pace = "max";
+  bool sequential = false;
+  std::int64_t start = 0;
+  std::int64_t total = 0;  ///< pictures to come, for the progress bar
+};
+
+/// Says on the error stream what is wrong and returns kExitRefused.
+int refuse(const std::string& message);
+/// Says on the error stream what went wrong and returns kExitFailed.
+int failed(const std::string& message);
+
+/// Flies the camera to its end or until *stop becomes true, writes trajectory.tum, frames.csv, pose.csv and
+/// summary.json to plan.out, tells the figures, and returns an ExitCode.
+int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, const Config& config,
+               const CameraRunPlan& plan, const std::atomic<bool>& stop);
+
+}  // namespace godwit::app
