@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink  # noqa: E402
 
 GROUP, PORT = "239.65.82.%d", 57732
 AUTOPILOT_NODE, OUR_NODE = 10, 42
+SO_TIMESTAMPNS = 35  # linux/socket.h; Python has no name for it
 
 
 class Sniffer(threading.Thread):
@@ -29,14 +30,18 @@ class Sniffer(threading.Thread):
         self.sock.bind((GROUP % bus, PORT))
         self.sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP,
                              struct.pack("4sl", socket.inet_aton(GROUP % bus), socket.INADDR_ANY))
+        # The kernel's receive time, so that this thread may be late without the frames looking late.
+        self.sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.start()
 
     def run(self):
         while True:
-            data = self.sock.recv(100)
+            data, extra, _, _ = self.sock.recvmsg(100, 64)
+            seconds, nanoseconds = struct.unpack("qq", extra[0][2][:16])
+            t = seconds + nanoseconds * 1e-9 - (time.time() - time.monotonic())
             magic, _, flags, can_id = struct.unpack("<HHHI", data[:10])
             if magic == 0x2934:
-                self.frames.append((time.monotonic(), can_id & 0x1FFFFFFF, bool(can_id >> 31), bool(flags & 1), data[10:]))
+                self.frames.append((t, can_id & 0x1FFFFFFF, bool(can_id >> 31), bool(flags & 1), data[10:]))
 
     def transfers(self, source=OUR_NODE):
         """(t of the last frame, transfer) of every transfer of a node so far."""
