@@ -294,17 +294,21 @@ void Layout::residential() {
         car(x, y + (rng_.chance(0.5) ? 2.7 : -2.7), rng_.chance(0.5) ? 0 : kPi, 0, true);
     }
   }
-  // Traffic keeps right; people walk on the pavements.
+  // Traffic keeps right, one speed a lane, so that nobody drives through another; people walk on the pavements.
+  const auto lane_speed = [&](int road, bool forth) {
+    return Rng(world_.seed_, static_cast<std::uint64_t>(2 * road) + (forth ? 1u : 0u)).uniform(4, 9);
+  };
   for (int i = 0; i < world_.plan_.cars; ++i) {
-    const double speed = rng_.uniform(4, 9), at = rng_.uniform(0, kWorldM);
+    const double at = 8.0 * rng_.below(static_cast<int>(kWorldM / 8));
     const bool forth = rng_.chance(0.5);
     // Two in five drive near the streets that the flights use.
     const int street = rng_.chance(0.4) ? 2 : rng_.below(kStreets);
     if (rng_.chance(0.75)) {
-      car(at, street * kStreetM + (forth ? -1.3 : 1.3), forth ? 0 : kPi, speed, false);
+      car(at, street * kStreetM + (forth ? -1.3 : 1.3), forth ? 0 : kPi, lane_speed(street, forth), false);
     } else {
-      car((rng_.chance(0.5) ? 2 : rng_.below(kAvenues)) * kAvenueM + (forth ? 1.5 : -1.5), at,
-          forth ? kPi / 2 : -kPi / 2, speed, false);
+      const int avenue = rng_.chance(0.5) ? 2 : rng_.below(kAvenues);
+      car(avenue * kAvenueM + (forth ? 1.5 : -1.5), at, forth ? kPi / 2 : -kPi / 2,
+          lane_speed(kStreets + avenue, forth), false);
     }
   }
   for (int i = 0; i < world_.plan_.people; ++i) {

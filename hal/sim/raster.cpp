@@ -15,6 +15,48 @@ constexpr float kSampleV[kSamples] = {-0.375f, -0.125f, 0.125f, 0.375f};
 constexpr int kTilePixels = kTile * kTile;
 }  // namespace
 
+namespace {
+/// Pixels of a tile that a triangle may touch, both ends included.
+struct Bounds {
+  int row0 = 0, row1 = kTile - 1, column0 = 0, column1 = kTile - 1;
+};
+
+/// Grows around corners seen through the tile's map from rays to pixels, which is taken as linear.
+class BoundsFinder {
+ public:
+  explicit BoundsFinder(const RayTable::Tile& tile)
+      : tile_(tile), det_(tile.dxdu * tile.dydv - tile.dxdv * tile.dydu) {}
+  void add(float x, float y, float z) {
+    if (z < 0.05f) {
+      unknown_ = true;
+      return;
+    }
+    const float dx = x / z - tile_.x_centre, dy = y / z - tile_.y_centre;
+    const float u = (tile_.dydv * dx - tile_.dxdv * dy) / det_, v = (tile_.dxdu * dy - tile_.dydu * dx) / det_;
+    u0_ = std::min(u0_, u);
+    u1_ = std::max(u1_, u);
+    v0_ = std::min(v0_, v);
+    v1_ = std::max(v1_, v);
+  }
+  Bounds bounds() const {
+    Bounds out;
+    // The map is linear near the tile only: trust it no further than a tile away.
+    if (unknown_ || u0_ < -kTile || u1_ > kTile || v0_ < -kTile || v1_ > kTile) return out;
+    constexpr float kHalf = kTile / 2.0f, kMargin = 2.0f;
+    out.column0 = std::clamp(static_cast<int>(u0_ + kHalf - kMargin), 0, kTile - 1);
+    out.column1 = std::clamp(static_cast<int>(u1_ + kHalf + kMargin), 0, kTile - 1);
+    out.row0 = std::clamp(static_cast<int>(v0_ + kHalf - kMargin), 0, kTile - 1);
+    out.row1 = std::clamp(static_cast<int>(v1_ + kHalf + kMargin), 0, kTile - 1);
+    return out;
+  }
+
+ private:
+  const RayTable::Tile& tile_;
+  float det_, u0_ = 1e9f, u1_ = -1e9f, v0_ = 1e9f, v1_ = -1e9f;
+  bool unknown_ = false;
+};
+}  // namespace
+
 /// Draws triangles into the samples of one tile.
 struct TileRaster {
   alignas(64) float depth[kSamples][kTilePixels];  ///< 1/z
@@ -28,12 +70,12 @@ struct TileRaster {
   /// `top` are the coefficients at the tile's upper edge, `slope` their change a row (rolling shutter).
   template <bool kRolling>
   void draw(const Renderer::Coefficients& top, const Renderer::Coefficients& slope, std::uint32_t id,
-            const RayTable::Tile& tile, const float* x, const float* y, int stride, int row0, int row1) {
+            const RayTable::Tile& tile, const float* x, const float* y, int stride, const Bounds& bounds) {
     const hn::CappedTag<float, 8> d;
     const hn::RebindToUnsigned<decltype(d)> du;
     const int lanes = static_cast<int>(hn::Lanes(d));
     Renderer::Coefficients k = top;
-    for (int row = row0; row <= row1; ++row) {
+    for (int row = bounds.row0; row <= bounds.row1; ++row) {
       if constexpr (kRolling) {
         const float f = static_cast<float>(row) + 0.5f;
         for (int i = 0; i < 3; ++i) {
@@ -55,7 +97,7 @@ struct TileRaster {
       const auto linear = [&](const float* c, auto px, auto py) {
         return hn::MulAdd(hn::Set(d, c[0]), px, hn::MulAdd(hn::Set(d, c[1]), py, hn::Set(d, c[2])));
       };
-      for (int column = 0; column < kTile; column += lanes) {
+      for (int column = bounds.column0 / lanes * lanes; column <= bounds.column1; column += lanes) {
         const auto px = hn::LoadU(d, x + row * stride + column), py = hn::LoadU(d, y + row * stride + column);
         const auto e0 = linear(k.e[0], px, py), e1 = linear(k.e[1], px, py), e2 = linear(k.e[2], px, py);
         const auto best = hn::Min(hn::Min(hn::Add(e0, hn::Set(d, most[0])), hn::Add(e1, hn::Set(d, most[1]))),
@@ -91,29 +133,14 @@ void Renderer::draw_tile(int column, int row) {
     const std::uint32_t t = nodes_[n].triangle;
     const Triangle& triangle = triangles_[t];
     if (rig_.readout_s <= 0) {
-      // Rows the triangle may touch: its bounds in ray space through the tile's nearly linear map.
-      int row0 = 0, row1 = kTile - 1;
-      const auto& v = triangle.vertex;
-      if (v[0][2] > 0.05f && v[1][2] > 0.05f && v[2][2] > 0.05f) {
-        float low = 1e9f, high = -1e9f;
-        const float det = tile.dxdu * tile.dydv - tile.dxdv * tile.dydu;
-        for (const auto& p : v) {
-          const float dx = p[0] / p[2] - tile.x_centre, dy = p[1] / p[2] - tile.y_centre;
-          const float at = (tile.dxdu * dy - tile.dydu * dx) / det;
-          low = std::min(low, at);
-          high = std::max(high, at);
-        }
-        // The map is linear near the tile only: trust it no further than a tile away.
-        if (low > -kTile && high < kTile) {
-          row0 = std::clamp(static_cast<int>(low + kTile / 2.0f - 2.0f), 0, kTile - 1);
-          row1 = std::clamp(static_cast<int>(high + kTile / 2.0f + 2.0f), 0, kTile - 1);
-        }
-      }
-      raster.draw<false>(coefficients_[t], none, triangle.surface, tile, x, y, rays_.stride, row0, row1);
+      BoundsFinder finder(tile);
+      for (const auto& v : triangle.vertex) finder.add(v[0], v[1], v[2]);
+      raster.draw<false>(coefficients_[t], none, triangle.surface, tile, x, y, rays_.stride, finder.bounds());
       continue;
     }
     // Rolling shutter: the planes at the tile's upper and lower edge, and linear between.
     Coefficients edge[2];
+    BoundsFinder finder(tile);
     bool faces = true;
     const FrameSurface& surface = surfaces_[triangle.surface];
     for (int k = 0; k < 2; ++k) {
@@ -125,6 +152,7 @@ void Renderer::draw_tile(int column, int row) {
         for (int j = 0; j < 3; ++j)
           v[i][j] = pose.R(j, 0) * p[0] + pose.R(j, 1) * p[1] + pose.R(j, 2) * p[2] + pose.t[j];
       }
+      for (const auto& p : v) finder.add(static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2]));
       faces = coefficients(v, &edge[k]) && faces;
     }
     if (!faces) continue;
@@ -133,7 +161,7 @@ void Renderer::draw_tile(int column, int row) {
       for (int j = 0; j < 3; ++j) slope.e[i][j] = (edge[1].e[i][j] - edge[0].e[i][j]) / kTile;
       slope.q[i] = (edge[1].q[i] - edge[0].q[i]) / kTile;
     }
-    raster.draw<true>(edge[0], slope, triangle.surface, tile, x, y, rays_.stride, 0, kTile - 1);
+    raster.draw<true>(edge[0], slope, triangle.surface, tile, x, y, rays_.stride, finder.bounds());
   }
   shade_tile(column, row, &raster.depth[0][0], &raster.surface[0][0]);
 }

@@ -14,6 +14,7 @@ constexpr double kNear = 0.05;           // [m] nothing closer is drawn
 constexpr double kGroundReachM = 166.4;  // fine relief around the camera; a coarse copy, a little lower, lies beyond
 constexpr double kFarReachM = 1200, kObjectReachM = 260, kMoverReachM = 160;
 constexpr double kSkyM = 700;
+constexpr double kLeastRadiusPx = 1.2;
 
 double nearest_copy(double from, double to) {
   return kWorldM * std::round((to - from) / kWorldM);
@@ -229,6 +230,8 @@ void Renderer::add_objects() {
     const Vec3 shift(nearest_copy(centre.x(), pose_.position_m.x()), nearest_copy(centre.y(), pose_.position_m.y()), 0);
     const Vec3 from_eye = centre + shift - pose_.position_m;
     if (from_eye.norm() - o.radius > kObjectReachM || !in_sight(R * from_eye, o.radius)) continue;
+    // Smaller than a pixel: nothing that a feature could hold on to.
+    if (o.radius * rig_.lens.fx < kLeastRadiusPx * from_eye.norm()) continue;
     if (surfaces_.size() + o.surfaces > kMaxSurfaces) {
       ++dropped_;
       continue;
