@@ -1,8 +1,5 @@
 #include "detector/model_info.h"
 
-// toml++ from its header and without exceptions: a broken file is a value here, not a throw.
-#define TOML_EXCEPTIONS 0
-#define TOML_HEADER_ONLY 1
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -92,12 +89,14 @@ rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view n
   if (std::any_of(text.begin(), text.end(), foreign)) {
     return rt::Error{std::string(name) + ": holds bytes outside ASCII, not a metadata file"};
   }
-  const toml::parse_result parsed = toml::parse(text, name);
-  if (!parsed) {
-    return rt::Error{std::string(name) + ":" + std::to_string(parsed.error().source().begin.line) + ": " +
-                     std::string(parsed.error().description())};
+  toml::table table;
+  // With exceptions, which are caught here: toml++ 3.3 without them runs into an assertion on broken input.
+  try {
+    table = toml::parse(text, name);
+  } catch (const toml::parse_error& e) {
+    return rt::Error{std::string(name) + ":" + std::to_string(e.source().begin.line) + ": " +
+                     std::string(e.description())};
   }
-  const toml::table& table = parsed.table();
   for (const auto& [key, node] : table) {
     if (std::find(kKeys.begin(), kKeys.end(), key.str()) == kKeys.end()) {
       return rt::Error{std::string(name) + ":" + std::to_string(node.source().begin.line) + ": unknown key " +

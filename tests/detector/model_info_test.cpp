@@ -70,6 +70,10 @@ TEST(ModelInfo, BytesOutsideAsciiAreRefusedBeforeTheParser) {
   EXPECT_EQ(why(with("input_height", "input_h\xD1\x9F")), "m.toml: holds bytes outside ASCII, not a metadata file");
 }
 
+TEST(ModelInfo, NestedBracketsWithoutEndAreAnError) {
+  EXPECT_EQ(why(std::string(25, '[') + "s").substr(0, 9), "m.toml:1:");
+}
+
 TEST(ModelInfo, MissingFileIsNamed) {
   const auto info = read_model_info("/nowhere/net.onnx");
   ASSERT_FALSE(info.ok());

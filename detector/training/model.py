@@ -1,0 +1,262 @@
+"""CBAM-YOLOv5: CSP backbone, SPPF, path aggregation, three heads, and attention where the backbone leaves for the neck.
+
+The layer numbers are those of YOLOv5 v6 (0..24), so that published COCO weights load by name. Attention (Woo et al.,
+CBAM, ECCV 2018) sits after layers 4, 6 and 9, the three maps that the neck reads; `attention=False` gives the same
+network without it, for the comparison that the paper makes in its Table 1.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from names import CLASSES, COCO_INDEX, STRIDES
+
+ANCHORS = (  # pixels of the network's input; three for each stride
+    ((10, 13), (16, 30), (33, 23)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((116, 90), (156, 198), (373, 326)),
+)
+# Layers that the neck reads, with the width of each at width multiple 1.
+ATTENTION_AFTER = {4: 256, 6: 512, 9: 1024}
+# Who consumes the output of an attended layer first; their weights take up the constant that the gates start with.
+_ATTENTION_CONSUMERS = {4: ("5.conv", "17.cv1.conv", "17.cv2.conv"), 6: ("7.conv", "13.cv1.conv", "13.cv2.conv"),
+                        9: ("10.conv",)}
+# Pre-activation that both gates start with: sigmoid(2) = 0.88 still has a tenth of its slope to learn with.
+_GATE_START = 2.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Width and depth multiples: n is the delivered size, s the next larger."""
+
+    width: float
+    depth: float
+
+    def channels(self, c: int) -> int:
+        return int(math.ceil(c * self.width / 8) * 8)
+
+    def repeats(self, n: int) -> int:
+        return max(round(n * self.depth), 1)
+
+
+SIZES = {"n": Size(0.25, 1 / 3), "s": Size(0.5, 1 / 3)}
+
+
+class ConvBnAct(nn.Module):
+    """Convolution, batch norm, SiLU. `fuse()` folds the norm into the convolution for export."""
+
+    def __init__(self, c_in: int, c_out: int, k: int = 1, s: int = 1, p: int | None = None):
+        super().__init__()
+        self.conv = nn.Conv2d(c_in, c_out, k, s, k // 2 if p is None else p, bias=False)
+        self.bn: nn.BatchNorm2d | None = nn.BatchNorm2d(c_out, eps=1e-3, momentum=0.03)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        y = self.conv(x)
+        if self.bn is not None:
+            y = self.bn(y)
+        return nn.functional.silu(y, inplace=self.training)
+
+    @torch.no_grad()
+    def fuse(self) -> None:
+        if self.bn is None:
+            return
+        scale = self.bn.weight / torch.sqrt(self.bn.running_var + self.bn.eps)
+        fused = nn.Conv2d(self.conv.in_channels, self.conv.out_channels, self.conv.kernel_size, self.conv.stride,
+                          self.conv.padding, bias=True)
+        fused.weight.copy_(self.conv.weight * scale[:, None, None, None])
+        fused.bias.copy_(self.bn.bias - self.bn.running_mean * scale)
+        self.conv, self.bn = fused, None
+
+
+class Bottleneck(nn.Module):
+    def __init__(self, c: int, shortcut: bool):
+        super().__init__()
+        self.cv1, self.cv2, self.shortcut = ConvBnAct(c, c, 1), ConvBnAct(c, c, 3), shortcut
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        y = self.cv2(self.cv1(x))
+        return x + y if self.shortcut else y
+
+
+class CspStage(nn.Module):
+    """Cross-stage partial stage with three 1x1 convolutions (YOLOv5's C3)."""
+
+    def __init__(self, c_in: int, c_out: int, n: int, shortcut: bool = True):
+        super().__init__()
+        half = c_out // 2
+        self.cv1, self.cv2 = ConvBnAct(c_in, half), ConvBnAct(c_in, half)
+        self.cv3 = ConvBnAct(2 * half, c_out)
+        self.m = nn.Sequential(*(Bottleneck(half, shortcut) for _ in range(n)))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.cv3(torch.cat((self.m(self.cv1(x)), self.cv2(x)), 1))
+
+
+class Sppf(nn.Module):
+    """Spatial pyramid pooling as three 5x5 poolings in a row."""
+
+    def __init__(self, c_in: int, c_out: int):
+        super().__init__()
+        self.cv1, self.cv2 = ConvBnAct(c_in, c_in // 2), ConvBnAct(c_in * 2, c_out)
+        self.m = nn.MaxPool2d(5, 1, 2)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        x = self.cv1(x)
+        a = self.m(x)
+        b = self.m(a)
+        return self.cv2(torch.cat((x, a, b, self.m(b)), 1))
+
+
+class Cbam(nn.Module):
+    """Channel attention, then spatial attention (Woo et al., equations 1 to 3).
+
+    Channel: sigmoid(MLP(avg) + MLP(max)), one MLP with reduction 16 for both poolings. Spatial: sigmoid of a 7x7
+    convolution over the mean and the maximum across channels. The last layer of each gate starts with zero weights and a
+    bias, so that the block starts as a multiplication by `start_gain`, which the loader takes out of the next layers.
+    """
+
+    def __init__(self, c: int, reduction: int = 16):
+        super().__init__()
+        hidden = max(c // reduction, 4)
+        self.mlp = nn.Sequential(nn.Conv2d(c, hidden, 1), nn.ReLU(), nn.Conv2d(hidden, c, 1))
+        self.spatial = nn.Conv2d(2, 1, 7, padding=3)
+        with torch.no_grad():
+            self.mlp[2].weight.zero_()
+            self.mlp[2].bias.fill_(_GATE_START / 2)  # counted twice: once for each pooling
+            self.spatial.weight.zero_()
+            self.spatial.bias.fill_(_GATE_START)
+
+    @staticmethod
+    def start_gain() -> float:
+        return (1 / (1 + math.exp(-_GATE_START))) ** 2
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        average = nn.functional.adaptive_avg_pool2d(x, 1)
+        largest = nn.functional.adaptive_max_pool2d(x, 1)
+        x = x * torch.sigmoid(self.mlp(average) + self.mlp(largest))
+        maps = torch.cat((x.mean(1, keepdim=True), x.amax(1, keepdim=True)), 1)
+        return x * torch.sigmoid(self.spatial(maps))
+
+
+class Heads(nn.Module):
+    """One 1x1 convolution a stride. Training reads the raw maps; inference gets boxes in input pixels."""
+
+    def __init__(self, classes: int, channels: tuple[int, int, int]):
+        super().__init__()
+        self.values = 5 + classes
+        self.m = nn.ModuleList(nn.Conv2d(c, 3 * self.values, 1) for c in channels)
+
+    def raw(self, maps: list[torch.Tensor]) -> list[torch.Tensor]:
+        """Per stride: batch x 3 anchors x rows x columns x (x, y, w, h, objectness, classes), before the sigmoid."""
+        out = []
+        for conv, x in zip(self.m, maps):
+            y = conv(x)
+            b, _, ny, nx = y.shape
+            out.append(y.view(b, 3, self.values, ny, nx).permute(0, 1, 3, 4, 2))
+        return out
+
+    def forward(self, maps: list[torch.Tensor]) -> torch.Tensor:
+        return torch.cat([decode_level(y, i).reshape(y.shape[0], -1, self.values)
+                          for i, y in enumerate(self.raw(maps))], 1)
+
+
+def decode_level(raw: torch.Tensor, level: int) -> torch.Tensor:
+    """Raw values of one stride to centre, size (input pixels), objectness and class probabilities."""
+    ny, nx = int(raw.shape[2]), int(raw.shape[3])
+    gy, gx = torch.meshgrid(torch.arange(ny, device=raw.device), torch.arange(nx, device=raw.device), indexing="ij")
+    # Half a cell is taken off here, once, instead of inside the network for every value.
+    offset = (torch.stack((gx, gy), -1).to(raw.dtype) - 0.5).view(1, 1, ny, nx, 2) * STRIDES[level]
+    anchors = torch.tensor(ANCHORS[level], dtype=raw.dtype, device=raw.device).view(1, 3, 1, 1, 2)
+    p = raw.sigmoid()
+    xy = p[..., 0:2] * (2.0 * STRIDES[level]) + offset.expand(1, 3, ny, nx, 2)
+    wh = (p[..., 2:4] * 2.0) ** 2 * anchors.expand(1, 3, ny, nx, 2)
+    return torch.cat((xy, wh, p[..., 4:]), -1)
+
+
+class CbamYolov5(nn.Module):
+    def __init__(self, size: str = "n", classes: int = len(CLASSES), attention: bool = True):
+        super().__init__()
+        s = SIZES[size]
+        c = s.channels
+        c64, c128, c256, c512, c1024 = (c(v) for v in (64, 128, 256, 512, 1024))
+        layers: list[nn.Module] = [
+            ConvBnAct(3, c64, 6, 2, 2), ConvBnAct(c64, c128, 3, 2), CspStage(c128, c128, s.repeats(3)),
+            ConvBnAct(c128, c256, 3, 2), CspStage(c256, c256, s.repeats(6)),
+            ConvBnAct(c256, c512, 3, 2), CspStage(c512, c512, s.repeats(9)),
+            ConvBnAct(c512, c1024, 3, 2), CspStage(c1024, c1024, s.repeats(3)), Sppf(c1024, c1024),
+            ConvBnAct(c1024, c512), nn.Identity(), nn.Identity(), CspStage(c1024, c512, s.repeats(3), False),
+            ConvBnAct(c512, c256), nn.Identity(), nn.Identity(), CspStage(c512, c256, s.repeats(3), False),
+            ConvBnAct(c256, c256, 3, 2), nn.Identity(), CspStage(c512, c512, s.repeats(3), False),
+            ConvBnAct(c512, c512, 3, 2), nn.Identity(), CspStage(c1024, c1024, s.repeats(3), False),
+            Heads(classes, (c256, c512, c1024)),
+        ]
+        self.model = nn.ModuleList(layers)
+        self.cbam = nn.ModuleDict({str(i): Cbam(c(w)) for i, w in ATTENTION_AFTER.items()} if attention else {})
+        prior = math.log(8 / (640 / 32) ** 2)  # about eight objects a picture before anything is learnt
+        with torch.no_grad():
+            for conv in self.model[24].m:
+                conv.bias.view(3, -1)[:, 4] += prior
+
+    def _attend(self, i: int, x: torch.Tensor) -> torch.Tensor:
+        return self.cbam[str(i)](x) if str(i) in self.cbam else x
+
+    def features(self, x: torch.Tensor) -> list[torch.Tensor]:
+        m = self.model
+        up = lambda t: nn.functional.interpolate(t, scale_factor=2.0, mode="nearest")  # noqa: E731
+        p3 = self._attend(4, m[4](m[3](m[2](m[1](m[0](x))))))
+        p4 = self._attend(6, m[6](m[5](p3)))
+        p5 = self._attend(9, m[9](m[8](m[7](p4))))
+        n5 = m[10](p5)
+        n4 = m[14](m[13](torch.cat((up(n5), p4), 1)))
+        o3 = m[17](torch.cat((up(n4), p3), 1))
+        o4 = m[20](torch.cat((m[18](o3), n4), 1))
+        o5 = m[23](torch.cat((m[21](o4), n5), 1))
+        return [o3, o4, o5]
+
+    def raw(self, x: torch.Tensor) -> list[torch.Tensor]:
+        return self.model[24].raw(self.features(x))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.model[24](self.features(x))
+
+    def fuse(self) -> "CbamYolov5":
+        for module in self.modules():
+            if isinstance(module, ConvBnAct):
+                module.fuse()
+        return self
+
+
+@torch.no_grad()
+def load_coco(net: CbamYolov5, npz_path: str) -> None:
+    """Fills `net` from COCO arrays named as in YOLOv5 (80 classes). A net of six classes takes the six rows of the heads.
+
+    Every array must find its place and every parameter but the attention's must be filled, or ValueError says which.
+    """
+    arrays = np.load(npz_path)
+    state = {k: torch.from_numpy(arrays[k].astype(np.float32)) for k in arrays.files
+             if not k.endswith(("num_batches_tracked", ".anchors"))}
+    values = net.model[24].values
+    if values != 85:
+        if values != 5 + len(COCO_INDEX):
+            raise ValueError(f"{npz_path}: a net of {values - 5} classes cannot start from COCO's heads")
+        rows = torch.tensor([0, 1, 2, 3, 4] + [5 + i for i in COCO_INDEX])
+        for key in [k for k in state if k.startswith("model.24.m.")]:
+            state[key] = state[key].view(3, 85, *state[key].shape[1:])[:, rows].flatten(0, 1)
+    for layer, consumers in _ATTENTION_CONSUMERS.items():
+        if str(layer) not in net.cbam:
+            continue
+        for consumer in consumers:
+            key = f"model.{consumer}.weight"
+            weight = state[key].clone()
+            # Layers 13 and 17 read the upsampled map first and the attended one second; the others only the attended one.
+            start = weight.shape[1] // 2 if consumer.startswith(("13", "17")) else 0
+            weight[:, start:] /= Cbam.start_gain()
+            state[key] = weight
+    missing, unexpected = net.load_state_dict(state, strict=False)
+    missing = [k for k in missing if not k.startswith("cbam.") and not k.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise ValueError(f"{npz_path}: missing {missing}, unexpected {unexpected}")
