@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import torch
 
-from model import CbamYolov5
+from model import CbamYolov5, load_coco
 from names import CLASSES
 
 
@@ -72,9 +72,20 @@ def main() -> None:
     parser.add_argument("--out", required=True, type=Path, help="folder for NAME_SIZE.onnx and NAME_SIZE.toml")
     parser.add_argument("--reference", type=Path, help="folder for NAME_SIZE.reference, PyTorch's output for the tests")
     parser.add_argument("--sizes", type=int, nargs="+", default=[416, 320])
+    parser.add_argument("--blend", type=float, default=1.0,
+                        help="weight of the trained network against the COCO weights it started from (Wortsman et al., "
+                        "Robust fine-tuning of zero-shot models, 2022): below 1 keeps more of what COCO taught")
+    parser.add_argument("--coco", type=Path, help="the COCO arrays, for --blend")
     args = parser.parse_args()
+    if not 0 < args.blend <= 1 or (args.blend < 1 and args.coco is None):
+        parser.error("--blend must be above 0 and at most 1, and below 1 needs --coco")
     held = torch.load(args.checkpoint, map_location="cpu")
     net = CbamYolov5(held["size"], attention=held["attention"])
+    if args.blend < 1:
+        load_coco(net, str(args.coco))
+        start = net.state_dict()
+        held["average"] = {k: start[k].lerp(v, args.blend) if v.dtype.is_floating_point else v
+                           for k, v in held["average"].items()}
     net.load_state_dict(held["average"])
     net.eval()
     if args.reference:  # from the network as it was trained, before anything is folded
