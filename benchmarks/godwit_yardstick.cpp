@@ -67,7 +67,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
     fmt::print(stderr, "godwit-yardstick: {}\n", pool.error().message);
     return 2;
   }
-  app::OdometryOptions odometry;
+  app::OdometryOptions odometry = app::odometry_options(camera.value()->calibration());
   odometry.mapper_delay_frames = app::Config{}.pipeline.mapper_delay_frames;
   const auto stage = app::make_odometry_stage(model.value(), odometry, pool.value().get());
   app::Feeder feeder(camera.value().get(), pool.value().get());

@@ -6,12 +6,14 @@
 namespace godwit::vo {
 
 struct KeyframeSelectorOptions {
-  double min_distance = 0.10;          ///< distance to the nearest keyframe over the scene's median depth
-  double min_angle_rad = 0.26;         ///< or turned by this against the nearest keyframe
-  int min_frames = 2;                  ///< frames between two keyframes
-  double feature_drop = 0.7;           ///< tracked features below this share of the last keyframe's call for one
-  int low_features = 90;               ///< and so do fewer than this
-  double min_distance_on_drop = 0.02;  ///< but not without any motion
+  double min_distance = 0.10;           ///< distance to the nearest keyframe over the scene's median depth
+  double min_angle_rad = 0.26;          ///< or turned by this against the nearest keyframe
+  int min_frames = 2;                   ///< frames between two keyframes
+  int min_frames_on_drop = 4;           ///< more of them when the reason is a lack of features: seeds need time
+  double feature_drop = 0.7;            ///< tracked features below this share of the last keyframe's call for one
+  int low_features = 90;                ///< and so do fewer than this
+  double min_distance_on_drop = 0.01;   ///< but not without any motion,
+  double min_angle_on_drop_rad = 0.03;  ///< nor without any turn
 };
 
 struct KeyframeFigures {
@@ -21,6 +23,7 @@ struct KeyframeFigures {
   double nearest_distance = 0.0;   ///< to the nearest keyframe, over median depth
   double nearest_angle_rad = 0.0;  ///< turned against that keyframe
   double last_distance = 0.0;      ///< to the last keyframe, over median depth
+  double last_angle_rad = 0.0;     ///< turned against the last keyframe
 };
 
 enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDropped };
@@ -30,7 +33,9 @@ inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const Ke
   if (f.nearest_distance > o.min_distance) return KeyframeReason::kMoved;
   if (f.nearest_angle_rad > o.min_angle_rad) return KeyframeReason::kTurned;
   const bool dropped = f.features < o.low_features || f.features < o.feature_drop * f.last_keyframe_features;
-  if (dropped && f.last_distance > o.min_distance_on_drop) return KeyframeReason::kFeaturesDropped;
+  if (dropped && f.frames_since_last >= o.min_frames_on_drop &&
+      (f.last_distance > o.min_distance_on_drop || f.last_angle_rad > o.min_angle_on_drop_rad))
+    return KeyframeReason::kFeaturesDropped;
   return KeyframeReason::kNone;
 }
 

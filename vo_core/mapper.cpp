@@ -55,9 +55,8 @@ bool Mapper::step() {
   delta_->clear();
   // Points of uncertain depth are better than none: with little motion the depth matters little for the pose, and the
   // bundle adjustment makes it certain later.
-  const double hunger =
-      std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
-  sigma_limit_ = options_.converged_sigma + hunger * (options_.starving_sigma - options_.converged_sigma);
+  hunger_ = std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
+  sigma_limit_ = options_.converged_sigma + hunger_ * (options_.starving_sigma - options_.converged_sigma);
   report_ = {};
   report_.kind = m->kind;
   report_.sequence = m->sequence;
@@ -133,12 +132,22 @@ Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) 
 
 void Mapper::create_seeds(int place, const MapperMessage& m) {
   const Keyframe& kf = map_.keyframe(place);
-  std::array<Vec2f, kMaxKeyframeFeatures> occupied;
-  for (int i = 0; i < kf.feature_count; ++i) occupied[i] = kf.features[i].px;
+  // Taken already: the keyframe's features, and where older seeds appear in it. Those go on converging; new ones in
+  // their place would start from nothing.
+  std::array<Vec2f, kMaxKeyframeFeatures + kMaxSeeds> occupied;
+  int occupied_count = 0;
+  for (; occupied_count < kf.feature_count; ++occupied_count) occupied[occupied_count] = kf.features[occupied_count].px;
+  for (const Seed& s : *seeds_) {
+    if (!s.active) continue;
+    const SE3 T_kf_host = kf.T_kf_world * map_.keyframe(s.place).T_kf_world.inverse();
+    Vec2 px;
+    if (camera_.project(T_kf_host * (s.feature.bearing / s.estimate.inv_depth), &px) && camera_.in_image(px, 8.0))
+      occupied[occupied_count++] = px.cast<float>();
+  }
   std::array<Feature, kMaxKeyframeFeatures> found;
   const int wanted = std::min(options_.features_per_keyframe, kMaxKeyframeFeatures);
   const rt::MaskPyramidView no_mask;
-  const int n = detector_.detect(kf.pyramid, no_mask, std::span(occupied.data(), kf.feature_count), wanted,
+  const int n = detector_.detect(kf.pyramid, no_mask, std::span(occupied.data(), occupied_count), wanted,
                                  std::span(found.data(), static_cast<std::size_t>(wanted)));
   // Older keyframes to search the new seeds in at once: the nearest ones with a baseline worth the work.
   std::array<std::pair<double, int>, kMaxKeyframes> near;
@@ -167,7 +176,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->feature.level = found[i].level;
     seed->feature.type = found[i].type;
     seed->feature.bearing = camera_.unproject(found[i].px.cast<double>());
-    seed->misses = 0;
+    seed->misses = seed->matches = 0;
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
@@ -205,7 +214,12 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& 
     seed->active = false;
     return;
   }
-  if (e.relative_sigma() < sigma_limit_) {
+  ++seed->matches;
+  // While the tracker starves, a seed will do whose uncertain depth moves it by less than the match noise in the
+  // picture at hand: little motion needs little depth.
+  const double shift_px = camera_.fx() * t_host_cur.norm() * e.inv_depth * e.relative_sigma();
+  const bool good_enough = hunger_ > options_.hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
+  if (good_enough || e.relative_sigma() < sigma_limit_) {
     seed_to_point(seed);
     seed->active = false;
   }

@@ -18,11 +18,13 @@ namespace godwit::vo {
 
 struct MapperOptions {
   FeatureDetectorOptions detector;
-  int features_per_keyframe = 200;  ///< tracked points and new seeds of a keyframe together
+  int features_per_keyframe = 160;  ///< new seeds of a keyframe
   int max_seed_updates = 220;       ///< epipolar searches a frame
   double converged_sigma = 0.04;    ///< sigma of depth over depth below which a seed becomes a point
   double starving_sigma = 0.15;     ///< the same when the tracker sees next to no points
   int starving_features = 120;      ///< tracked features below which the limit begins to rise
+  double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
+  double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
   double match_sigma_px = 0.6;      ///< noise of an epipolar match
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
   int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
@@ -70,7 +72,7 @@ class Mapper {
     std::uint32_t keyframe_id = 0;
     KeyframeFeature feature;
     DepthEstimate estimate;
-    int misses = 0;
+    int misses = 0, matches = 0;
   };
 
   void handle_reset(const MapperMessage& m);
@@ -97,6 +99,7 @@ class Mapper {
   BundleAdjuster bundle_;
   std::unique_ptr<std::array<Seed, kMaxSeeds>> seeds_;
   int next_seed_ = 0;
+  double hunger_ = 0.0;       ///< 0: the tracker sees enough points, 1: none
   double sigma_limit_ = 0.0;  ///< converged_sigma, raised while the tracker starves
   MapperReport report_;
   std::array<SlotRelease, 2 * kMaxKeyframes> releases_;

@@ -427,7 +427,10 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
       f.nearest_distance = d;
       f.nearest_angle_rad = angle;
     }
-    if (kf.id == last_keyframe_id_) f.last_distance = d;
+    if (kf.id == last_keyframe_id_) {
+      f.last_distance = d;
+      f.last_angle_rad = angle;
+    }
   }
   const KeyframeReason why = select_keyframe(options_.keyframe, f);
   bool sent = false;

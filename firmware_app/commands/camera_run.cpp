@@ -78,8 +78,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   auto pool = rt::FramePool::create(layout);
   if (!pool) return refuse(pool.error().message);
 
-  OdometryOptions odometry;
-  odometry.readout_frames = calibration.readout_frames;
+  OdometryOptions odometry = odometry_options(calibration);
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
   const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get());
 

@@ -25,7 +25,7 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, vo::MapperOptions{}, channel_.get())) {}
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options), channel_.get())) {}
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -51,11 +51,18 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
+  static vo::MapperOptions mapper_options(const OdometryOptions& options) {
+    vo::MapperOptions out;
+    out.shutter.readout_s = options.readout_s;
+    return out;
+  }
+
   static vo::TrackerOptions tracker_options(const OdometryOptions& options) {
     vo::TrackerOptions out;
     out.delta_delay_frames = options.mapper_delay_frames;
     out.clock = &rt::monotonic_now_ns;
     out.initializer.readout = options.readout_frames;
+    out.shutter.readout_s = options.readout_s;
     return out;
   }
 
@@ -91,6 +98,13 @@ class OdometryStage final : public FrameStage {
 };
 
 }  // namespace
+
+OdometryOptions odometry_options(const hal::CameraCalibration& calibration) {
+  OdometryOptions out;
+  out.readout_frames = calibration.readout_frames;
+  out.readout_s = calibration.readout_s();
+  return out;
+}
 
 rt::Result<vo::CameraModel> make_camera_model(const hal::CameraCalibration& c) {
   if (c.distortion_model == hal::CameraCalibration::Distortion::kKannalaBrandt4) {

@@ -16,7 +16,11 @@ struct OdometryOptions {
   int mapper_delay_frames = 0;
   /// Rolling shutter: time from the first row to the last [frame intervals].
   double readout_frames = 0;
+  double readout_s = 0;  ///< the same in seconds
 };
+
+/// What the odometry must know of this camera beside its model: the rolling shutter.
+OdometryOptions odometry_options(const hal::CameraCalibration& calibration);
 
 /// The odometry's camera model from a calibration file's numbers. Error: absurd numbers.
 rt::Result<vo::CameraModel> make_camera_model(const hal::CameraCalibration& calibration);

@@ -32,6 +32,8 @@ struct CameraCalibration {
   /// Rolling shutter: time from the first row to the last [frame intervals]; 0: global shutter. Key readout_s; where
   /// only "shutter: rolling .." is said, kTypicalReadout.
   double readout_frames = 0;
+  /// The same in seconds; 0 where the file does not say how long a frame interval is.
+  double readout_s() const { return fps > 0 ? readout_frames / fps : 0.0; }
   /// Maps camera points into the body (IMU) frame, row major, where the file says it.
   std::optional<std::array<double, 16>> T_body_cam;
 };
