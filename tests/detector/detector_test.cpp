@@ -1,0 +1,235 @@
+#include "detector/detector.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+#include <opencv2/core.hpp>
+#include <opencv2/dnn.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <string>
+#include <vector>
+
+namespace godwit::detector {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::string kModels = GODWIT_MODEL_DIR;
+const std::string kData = GODWIT_TEST_DATA_DIR;
+
+std::string read(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+/// A folder for the test's own files, gone at its end.
+class DetectorTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = fs::temp_directory_path() /
+           (std::string("godwit_detector_") + ::testing::UnitTest::GetInstance()->current_test_info()->name());
+    fs::remove_all(dir_);
+    fs::create_directories(dir_);
+  }
+  void TearDown() override { fs::remove_all(dir_); }
+  std::string write(const std::string& name, const std::string& text) {
+    std::ofstream(dir_ / name, std::ios::binary) << text;
+    return (dir_ / name).string();
+  }
+  fs::path dir_;
+};
+
+std::string why(const rt::Result<Detector>& detector) {
+  return detector.ok() ? "opened" : detector.error().message;
+}
+
+/// The picture of the committed reference: every pixel follows from its place, so no file is needed.
+cv::Mat reference_input(int size) {
+  const int sizes[] = {1, 3, size, size};
+  cv::Mat blob(4, sizes, CV_32F);
+  float* out = blob.ptr<float>();
+  for (int c = 0; c < 3; ++c) {
+    for (int y = 0; y < size; ++y) {
+      for (int x = 0; x < size; ++x)
+        *out++ = static_cast<float>((x * 7 + y * 13 + c * 29 + (x * y) / 16) & 255) / 255.F;
+    }
+  }
+  return blob;
+}
+
+class DeliveredModel : public ::testing::TestWithParam<int> {};
+
+// The reference comes from PyTorch (detector/training/export.py), before the export to ONNX.
+TEST_P(DeliveredModel, AgreesWithPyTorch) {
+  const int size = GetParam();
+  const std::string name = "cbam_yolov5n_" + std::to_string(size);
+  const std::string reference = read(kData + "/" + name + ".reference");
+  ASSERT_GE(reference.size(), 12U) << "reference is missing";
+  std::int32_t header[3];  // rows in all, values a row, every how many rows is kept
+  std::memcpy(header, reference.data(), sizeof header);
+  const int kept = (header[0] + header[2] - 1) / header[2];
+  ASSERT_EQ(reference.size(), sizeof header + sizeof(float) * static_cast<std::size_t>(kept * header[1]));
+  std::vector<float> expected(static_cast<std::size_t>(kept * header[1]));
+  std::memcpy(expected.data(), reference.data() + sizeof header, expected.size() * sizeof(float));
+
+  cv::setNumThreads(1);
+  cv::dnn::Net net = cv::dnn::readNetFromONNX(kModels + "/" + name + ".onnx");
+  net.setInput(reference_input(size));
+  const cv::Mat y = net.forward();
+  ASSERT_EQ(y.size[1], header[0]);
+  ASSERT_EQ(y.size[2], header[1]);
+  double worst = 0.0;
+  for (int k = 0; k < kept; ++k) {
+    for (int v = 0; v < header[1]; ++v) {
+      const double a = expected[static_cast<std::size_t>(k * header[1] + v)];
+      const double b = y.ptr<float>()[static_cast<std::ptrdiff_t>(k) * header[2] * header[1] + v];
+      // Scores against 1, boxes (pixels of the input) against their own size.
+      worst = std::max(worst, std::abs(a - b) / std::max(1.0, std::abs(a)));
+    }
+  }
+  EXPECT_LE(worst, 1e-3);
+}
+
+TEST_P(DeliveredModel, OpensWithItsMetadata) {
+  const std::string path = kModels + "/cbam_yolov5n_" + std::to_string(GetParam()) + ".onnx";
+  EXPECT_LT(fs::file_size(path), 8'000'000U);
+  auto opened = Detector::open(path, {});
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  Detector detector = std::move(opened.value());
+  EXPECT_EQ(detector.info().input_width, GetParam());
+  ASSERT_EQ(detector.info().classes.size(), 6U);
+  for (int c = 0; c < 6; ++c) EXPECT_TRUE(detector.movable(c));
+  EXPECT_FALSE(detector.movable(6));
+  EXPECT_FALSE(detector.movable(-1));
+  EXPECT_TRUE(detector.warning().empty());
+  EXPECT_EQ(detector.backend(), Backend::kCpu);
+
+  // Grey is the same as that grey in three channels, whatever came before.
+  cv::Mat grey(480, 640, CV_8UC1), colour;
+  cv::randu(grey, 0, 255);
+  cv::GaussianBlur(grey, grey, {31, 31}, 8);
+  cv::cvtColor(grey, colour, cv::COLOR_GRAY2BGR);
+  BoxList a, b, c;
+  ASSERT_TRUE(detector.detect({grey.data, 640, 480, 640, 1}, &a).ok());
+  ASSERT_TRUE(detector.detect({colour.data, 640, 480, 640 * 3, 3}, &b).ok());
+  const cv::Mat small(100, 900, CV_8UC3, cv::Scalar(1, 2, 3));
+  ASSERT_TRUE(detector.detect({small.data, 900, 100, 2700, 3}, &c).ok());
+  EXPECT_EQ(c.count, 0);
+  ASSERT_TRUE(detector.detect({grey.data, 640, 480, 640, 1}, &c).ok());
+  ASSERT_EQ(a.count, b.count);
+  ASSERT_EQ(a.count, c.count);
+  for (int i = 0; i < a.count; ++i)
+    EXPECT_EQ(a.box[static_cast<std::size_t>(i)].x0, c.box[static_cast<std::size_t>(i)].x0);
+}
+
+INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel, ::testing::Values(416, 320));
+
+TEST_F(DetectorTest, BadModelsAreNamedWithTheReason) {
+  const std::string model = read(kModels + "/cbam_yolov5n_320.onnx"), meta = read(kModels + "/cbam_yolov5n_320.toml");
+  ASSERT_FALSE(model.empty());
+  ASSERT_FALSE(meta.empty());
+  EXPECT_EQ(why(Detector::open((dir_ / "none.onnx").string(), {})), (dir_ / "none.onnx").string() + ": no such file");
+
+  const std::string lonely = write("lonely.onnx", model);
+  EXPECT_NE(why(Detector::open(lonely, {})).find("lonely.toml: cannot be opened"), std::string::npos);
+
+  write("cut.toml", meta);
+  const std::string cut = why(Detector::open(write("cut.onnx", model.substr(0, model.size() / 2)), {}));
+  EXPECT_NE(cut.find("cut.onnx: not a network"), std::string::npos) << cut;
+
+  write("empty.toml", meta);
+  const std::string empty = why(Detector::open(write("empty.onnx", ""), {}));
+  EXPECT_NE(empty.find("empty.onnx: "), std::string::npos) << empty;
+
+  std::string five = meta;
+  five.replace(five.find("\"bicycle\", "), 11, "");
+  five.replace(five.find("\"bicycle\", "), 11, "");
+  write("five.toml", five);
+  const std::string classes = why(Detector::open(write("five.onnx", model), {}));
+  EXPECT_NE(classes.find("but the metadata's input size, layout and 5 classes make it 1x6300x10"), std::string::npos)
+      << classes;
+
+  std::string large = meta;
+  large.replace(large.find("input_width = 320"), 17, "input_width = 352");
+  write("large.toml", large);
+  const std::string shape = why(Detector::open(write("large.onnx", model), {}));
+  EXPECT_NE(shape.find("large.onnx: "), std::string::npos) << shape;
+}
+
+TEST_F(DetectorTest, EmptyPicturesAreErrorsAndTheNextOneWorks) {
+  auto opened = Detector::open(kModels + "/cbam_yolov5n_320.onnx", {});
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  BoxList boxes;
+  boxes.push({0, 0, 1, 1, 1, 0});
+  EXPECT_FALSE(opened.value().detect({}, &boxes).ok());
+  EXPECT_EQ(boxes.count, 0);
+  const cv::Mat grey = cv::Mat::zeros(48, 64, CV_8UC1);
+  EXPECT_FALSE(opened.value().detect({grey.data, 64, 48, 64, 2}, &boxes).ok());
+  EXPECT_FALSE(opened.value().detect({grey.data, 64, 48, 63, 1}, &boxes).ok());
+  EXPECT_TRUE(opened.value().detect({grey.data, 64, 48, 64, 1}, &boxes).ok());
+}
+
+TEST_F(DetectorTest, BackendsByName) {
+  EXPECT_EQ(parse_backend("cuda_fp16").value(), Backend::kCudaFp16);
+  EXPECT_EQ(parse_backend("gpu").error().message, "detector backend \"gpu\": must be cpu, cuda or cuda_fp16");
+  DetectorOptions options;
+  options.backend = Backend::kCuda;
+  auto opened = Detector::open(kModels + "/cbam_yolov5n_320.onnx", options);
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  const bool cuda = !cv::dnn::getAvailableTargets(cv::dnn::DNN_BACKEND_CUDA).empty();
+  EXPECT_EQ(opened.value().backend(), cuda ? Backend::kCuda : Backend::kCpu);
+  EXPECT_EQ(opened.value().warning().empty(), cuda);
+}
+
+// Real pictures: a person and a vehicle where the annotators drew them.
+TEST_F(DetectorTest, FindsPeopleAndVehiclesInPictures) {
+  const char* shared = std::getenv("GODWIT_SHARED_DIR");
+  const std::string root = std::string(shared != nullptr ? shared : "") + "/data/detection/coco256/";
+  if (shared == nullptr || !fs::exists(root)) {
+    ASSERT_STRNE(std::getenv("CI") != nullptr ? std::getenv("CI") : "", "true") << "shared data is missing";
+    GTEST_SKIP() << "GODWIT_SHARED_DIR has no detection pictures";
+  }
+  auto opened = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  int large = 0, found = 0;
+  std::vector<fs::path> pictures;
+  for (const auto& entry : fs::directory_iterator(root + "images/val2017")) pictures.push_back(entry.path());
+  std::sort(pictures.begin(), pictures.end());
+  pictures.resize(std::min<std::size_t>(pictures.size(), 40));
+  for (const fs::path& path : pictures) {
+    const cv::Mat image = cv::imread(path.string());
+    ASSERT_FALSE(image.empty()) << path;
+    BoxList boxes;
+    ASSERT_TRUE(
+        opened.value().detect({image.data, image.cols, image.rows, static_cast<int>(image.step[0]), 3}, &boxes).ok());
+    std::ifstream labels(root + "labels/val2017/" + path.stem().string() + ".txt");
+    double c, cx, cy, w, h;
+    while (labels >> c >> cx >> cy >> w >> h) {
+      if (c != 0 || w * h < 0.1) continue;  // people that fill a tenth of the picture
+      ++large;
+      const auto fw = static_cast<float>(image.cols), fh = static_cast<float>(image.rows);
+      const Box truth{static_cast<float>(cx - w / 2) * fw,
+                      static_cast<float>(cy - h / 2) * fh,
+                      static_cast<float>(cx + w / 2) * fw,
+                      static_cast<float>(cy + h / 2) * fh,
+                      1.F,
+                      0};
+      for (const Box& b : boxes.view()) {
+        if (b.class_id == 0 && overlap(b, truth) > 0.5F) {
+          ++found;
+          break;
+        }
+      }
+    }
+  }
+  ASSERT_GE(large, 5);
+  EXPECT_GE(found * 10, large * 7) << found << " of " << large;
+}
+
+}  // namespace
+}  // namespace godwit::detector
