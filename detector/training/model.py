@@ -138,7 +138,10 @@ class Cbam(nn.Module):
         average = nn.functional.adaptive_avg_pool2d(x, 1)
         largest = nn.functional.adaptive_max_pool2d(x, 1)
         x = x * torch.sigmoid(self.mlp(average) + self.mlp(largest))
-        maps = torch.cat((x.mean(1, keepdim=True), x.amax(1, keepdim=True)), 1)
+        c = int(x.shape[1])
+        # The mean as a convolution: for a mean across channels OpenCV would transpose the whole map.
+        mean = nn.functional.conv2d(x, torch.full((1, c, 1, 1), 1 / c, dtype=x.dtype, device=x.device))
+        maps = torch.cat((mean, x.amax(1, keepdim=True)), 1)
         return x * torch.sigmoid(self.spatial(maps))
 
 
