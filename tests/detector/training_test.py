@@ -1,0 +1,117 @@
+"""The training side without PyTorch: the split that keeps held-out pictures out, labels, and the figures' arithmetic."""
+import pathlib
+import sys
+import tempfile
+import unittest
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / 'detector' / 'training'))
+import augment  # noqa: E402
+import data  # noqa: E402
+import metrics  # noqa: E402
+
+
+class Split(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.root = pathlib.Path(self.folder.name)
+
+    def tearDown(self):
+        self.folder.cleanup()
+
+    def touch(self, folder, stems):
+        path = self.root / folder
+        path.mkdir(parents=True, exist_ok=True)
+        for stem in stems:
+            (path / f'{stem}.jpg').touch()
+
+    def test_last_fifth_of_every_flight_is_held_out(self):
+        self.touch('aerial_cars/images', [f'MOS{i}' for i in (*range(74, 84), *range(155, 160))] + ['DJI_0005-0018'])
+        held_out = data.names(self.root, 'aerial_cars', True)
+        # 74..83 and 155..159 are two flights: the gap between them is wider than any inside.
+        self.assertEqual(held_out, ['MOS159', 'MOS82', 'MOS83'])
+        train = data.names(self.root, 'aerial_cars', False)
+        self.assertEqual(len(train), 13)
+        self.assertFalse(set(train) & set(held_out))
+
+    def test_numbers_in_brackets_are_frame_numbers(self):
+        self.touch('cats_topdown/images', [f'Drone2_({i})' for i in range(1, 11)])
+        self.assertEqual(data.names(self.root, 'cats_topdown', True), ['Drone2_(10)', 'Drone2_(9)'])
+
+    def test_pictures_that_figures_are_cut_from_are_never_trained_on(self):
+        for part in ('train2017', 'val2017'):
+            self.touch(f'coco256/images/{part}', ['000000000009', '000000000113', '000000000241', '000000009483'])
+        self.assertEqual(data.names(self.root, 'coco', False), ['000000000009'])
+
+    def test_labels_become_our_classes_and_the_rest_is_left_out(self):
+        for sub in ('images', 'labels', 'ignore'):
+            (self.root / 'visdrone_mini' / sub).mkdir(parents=True)
+        (self.root / 'visdrone_mini' / 'train.list').write_text('a\n')
+        cv2.imwrite(str(self.root / 'visdrone_mini' / 'images' / 'a.jpg'), np.zeros((100, 200, 3), np.uint8))
+        (self.root / 'visdrone_mini' / 'labels' / 'a.txt').write_text(
+            '1 0.5 0.5 0.1 0.2\n4 0.25 0.5 0.1 0.2\n6 0.75 0.5 0.1 0.2\n')
+        (self.root / 'visdrone_mini' / 'ignore' / 'a.txt').write_text('0 0.1 0.1 0.1 0.1\n')
+        picture, = data.load(self.root, 'visdrone', held_out=False)
+        self.assertEqual(picture.labels.tolist(), [0, 2])  # people, van
+        np.testing.assert_allclose(picture.boxes[0], [90, 40, 110, 60], atol=1e-4)
+        self.assertEqual(len(picture.ignore), 2)  # the region, and a tricycle
+
+        (self.root / 'visdrone_mini' / 'labels' / 'a.txt').write_text('1 0.5 0.5 0.1\n')
+        with self.assertRaisesRegex(ValueError, 'a.txt: every line must hold 5 numbers'):
+            data.load(self.root, 'visdrone', held_out=False)
+
+
+class Views(unittest.TestCase):
+    def test_a_box_stays_on_its_thing(self):
+        image = np.zeros((300, 500, 3), np.uint8)
+        image[100:160, 200:320] = 255
+        box = np.float32([[200, 100, 320, 160]])
+        picture = data.Picture('p', 'cats_topdown', image, box, np.array([data.VEHICLE]))
+        for seed in range(40):
+            rng = np.random.default_rng(seed)
+            canvas = np.full((256, 256, 3), augment.BORDER, np.uint8)
+            boxes, _, _ = augment._place(canvas, (0, 0, 256, 256), augment._turn(picture, rng),
+                                         256 * rng.uniform(0.5, 1.5), rng)
+            for x0, y0, x1, y1 in boxes:
+                ys, xs = np.nonzero((canvas > 200).all(2))
+                np.testing.assert_allclose([xs.min(), ys.min(), xs.max() + 1, ys.max() + 1], [x0, y0, x1, y1], atol=1.6)
+
+
+class Figures(unittest.TestCase):
+    def score(self, boxes, scores, truth, ignore=()):
+        c = metrics.ClassScore()
+        as_boxes = lambda b: np.array(b, np.float32).reshape(-1, 4)  # noqa: E731
+        c.add(as_boxes(boxes), np.array(scores, np.float32), as_boxes(truth), as_boxes(ignore))
+        return c
+
+    def test_all_right_is_one(self):
+        b = [[0, 0, 10, 10], [20, 20, 40, 40]]
+        np.testing.assert_allclose(self.score(b, [0.9, 0.8], b).average_precision(), 1)
+
+    def test_a_wrong_box_above_a_right_one_halves_the_precision(self):
+        c = self.score([[50, 50, 60, 60], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]])
+        self.assertAlmostEqual(c.average_precision()[0], 0.5)
+
+    def test_a_second_box_on_one_thing_is_wrong(self):
+        c = self.score([[0, 0, 10, 10], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]])
+        precision = c.curves()[1]
+        np.testing.assert_allclose(precision, [1, 0.5])
+
+    def test_a_miss_halves_the_recall(self):
+        c = self.score([[0, 0, 10, 10]], [0.9], [[0, 0, 10, 10], [20, 20, 40, 40]])
+        self.assertAlmostEqual(c.average_precision()[0], 51 / 101)
+
+    def test_ignored_regions_count_neither_way(self):
+        c = self.score([[50, 50, 60, 60], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]], [[45, 45, 65, 65]])
+        self.assertAlmostEqual(c.average_precision()[0], 1)
+
+    def test_suppression_is_by_class(self):
+        boxes = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]], float)
+        kept = metrics.nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]))
+        self.assertEqual(kept.tolist(), [1, 2])
+
+
+if __name__ == '__main__':
+    unittest.main()
