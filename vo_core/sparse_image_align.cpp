@@ -137,6 +137,14 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       VecP b;
       float cost;
       const int used = accumulate(cur.level[level], level, T, gain, offset, &H, &b, &cost);
+      // The prior's part of the cost, in the same unit: grey levels squared a pixel.
+      Eigen::Vector3f e = Eigen::Vector3f::Zero();
+      float prior_weight = 0.0f;
+      if (prior.sigma_rad > 0.0) {
+        e = so3_log(T.R.transpose() * prior.R_cur_ref).cast<float>();
+        prior_weight = static_cast<float>(options_.huber_px * options_.huber_px / (prior.sigma_rad * prior.sigma_rad));
+        cost += prior_weight * e.squaredNorm() / (16.0f * static_cast<float>(std::max(used, 1)));
+      }
       // A step that made the agreement worse is taken back; what is left to gain here is below the noise.
       if (it > 0 && (cost > cost_old || used < used_old / 2)) {
         T = T_old;
@@ -150,12 +158,9 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       // Gain and offset are weakly held to what they were, so that a flat picture cannot send them anywhere.
       H(6, 6) += 1.0f;
       H(7, 7) += 1.0f;
-      if (prior.sigma_rad > 0.0) {
-        const Mat3 dR = T.R.transpose() * prior.R_cur_ref;
-        const float w = static_cast<float>(options_.huber_px * options_.huber_px / (prior.sigma_rad * prior.sigma_rad));
-        const Eigen::Vector3f e = so3_log(dR).cast<float>();
-        H.block<3, 3>(3, 3) += w * Eigen::Matrix3f::Identity();
-        b.segment<3>(3) -= w * e;
+      if (prior_weight > 0.0f) {
+        H.block<3, 3>(3, 3) += prior_weight * Eigen::Matrix3f::Identity();
+        b.segment<3>(3) -= prior_weight * e;
       }
       const VecP x = H.ldlt().solve(b);
       if (!x.allFinite()) break;

@@ -1,0 +1,121 @@
+#include "vo_core/bundle_adjuster.h"
+
+#include <cmath>
+#include <gtest/gtest.h>
+#include <random>
+#include <vector>
+
+#include "tests/vo_core/test_cameras.h"
+#include "vo_core/structure_optimizer.h"
+
+namespace godwit::vo {
+namespace {
+
+// Six keyframes along a line look at 150 points.
+struct World {
+  CameraModel camera = test::euroc();
+  Map map;
+  std::vector<Vec3> points;
+  std::vector<SE3> poses;
+
+  explicit World(double noise_px) {
+    std::mt19937 random(5);
+    std::uniform_real_distribution<double> xy(-1.0, 1.0), z(1.5, 4.0);
+    std::normal_distribution<double> noise(0.0, noise_px);
+    for (int i = 0; i < 150; ++i) {
+      const double d = z(random);
+      points.emplace_back(xy(random) * 0.6 * d, xy(random) * 0.4 * d, d);
+    }
+    for (int k = 0; k < 6; ++k) {
+      poses.push_back(SE3::exp((Vec6() << -0.1 * k, 0.02 * k, 0.01 * k, 0.0, 0.01 * k, 0.0).finished()));
+      Keyframe& kf = map.insert_keyframe(k, static_cast<std::uint32_t>(k + 1));
+      kf.T_kf_world = poses.back();
+    }
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const PointHandle h = map.free_point();
+      map.activate_point(h, points[i]);
+      for (int k = 0; k < 6; ++k) {
+        Vec2 px;
+        if (!camera.project(poses[static_cast<std::size_t>(k)] * points[i], &px) || !camera.in_image(px, 5)) continue;
+        KeyframeFeature f;
+        f.px = f.px_global = (px + Vec2(noise(random), noise(random))).cast<float>();
+        f.bearing = camera.unproject(px);
+        f.point = h;
+        map.append_feature(k, f);
+      }
+    }
+  }
+
+  void disturb() {
+    std::mt19937 random(6);
+    std::normal_distribution<double> t(0.0, 0.01), r(0.0, 0.004), p(0.0, 0.05);
+    for (int k = 2; k < 6; ++k)
+      map.keyframe(k).T_kf_world =
+          SE3::exp((Vec6() << t(random), t(random), t(random), r(random), r(random), r(random)).finished()) *
+          map.keyframe(k).T_kf_world;
+    for (int i = 0; i < map.point_end(); ++i) map.point(i).p_world += Vec3(p(random), p(random), p(random));
+  }
+
+  double pose_error() const {
+    // Scale is free: compare directions of the motion and rotations.
+    double worst = 0.0;
+    for (int k = 1; k < 6; ++k) {
+      const SE3& a = map.keyframe(k).T_kf_world;
+      worst = std::max(worst, so3_log(a.R * poses[static_cast<std::size_t>(k)].R.transpose()).norm());
+      const Vec3 c = map.keyframe(k).position().normalized();
+      const Vec3 truth = (poses[static_cast<std::size_t>(k)].inverse().t).normalized();
+      worst = std::max(worst, std::acos(std::min(1.0, c.dot(truth))));
+    }
+    return worst;
+  }
+};
+
+TEST(BundleAdjuster, BringsADisturbedMapBack) {
+  World w(0.2);
+  w.disturb();
+  const double before = w.pose_error();
+  BundleAdjusterOptions options;
+  options.max_iterations = 10;
+  BundleAdjuster bundle(w.camera, options);
+  const BundleReport r = bundle.run(&w.map, 5);
+  EXPECT_EQ(r.free_keyframes, 5);
+  EXPECT_EQ(r.fixed_keyframes, 1);
+  EXPECT_LT(r.rms_after_px, 0.35);
+  EXPECT_LT(r.rms_after_px, 0.2 * r.rms_before_px);
+  EXPECT_LT(w.pose_error(), 0.2 * before);
+  EXPECT_EQ(w.map.keyframe(0).T_kf_world.t, w.poses[0].t) << "the first keyframe holds the gauge";
+}
+
+TEST(BundleAdjuster, ReportsWrongObservations) {
+  World w(0.2);
+  for (int i = 0; i < 8; ++i) w.map.keyframe(3).features[static_cast<std::size_t>(5 * i)].px_global += Vec2f(12, -9);
+  BundleAdjuster bundle(w.camera, {});
+  bundle.run(&w.map, 5);
+  int found = 0;
+  for (int i = 0; i < bundle.outlier_count(); ++i) {
+    EXPECT_EQ(bundle.outlier(i).keyframe, 3);
+    found += bundle.outlier(i).feature % 5 == 0 && bundle.outlier(i).feature < 40;
+  }
+  EXPECT_EQ(found, 8);
+}
+
+TEST(BundleAdjuster, AnEmptyMapIsLeftAlone) {
+  World w(0.0);
+  w.map.clear();
+  w.map.insert_keyframe(0, 1);
+  BundleAdjuster bundle(w.camera, {});
+  EXPECT_EQ(bundle.run(&w.map, 0).observations, 0);
+  EXPECT_EQ(bundle.moved_point_count(), 0);
+}
+
+TEST(StructureOptimizer, FindsTheMiddleOfItsObservations) {
+  World w(0.0);
+  const MapPoint& p = w.map.point(7);
+  Vec3 guess = p.p_world + Vec3(0.05, -0.04, 0.3);
+  const double rms = optimize_structure(w.camera, w.map, p, 10, &guess);
+  EXPECT_LT(rms, 1e-3);
+  EXPECT_LT((guess - w.points[7]).norm(), 1e-3);
+}
+
+}  // namespace
+}  // namespace godwit::vo

@@ -1,0 +1,101 @@
+#include "vo_core/matcher.h"
+
+#include <gtest/gtest.h>
+#include <vector>
+
+#include "tests/vo_core/synthetic_scene.h"
+#include "vo_core/pyramid.h"
+
+namespace godwit::vo {
+namespace {
+
+struct Views {
+  CameraModel camera = CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {0.05, -0.02, 0, 0, 0}).value();
+  test::SyntheticScene scene = test::SyntheticScene::plane();
+  SE3 T_ref, T_cur = SE3::exp((Vec6() << -0.25, 0.05, -0.1, 0.01, 0.02, 0.1).finished());
+  test::Picture a = scene.render(camera, T_ref), b = scene.render(camera, T_cur);
+  std::vector<std::uint8_t> storage_a, storage_b;
+  rt::PyramidView ref, cur;
+
+  Views() {
+    const auto build = [](const test::Picture& p, std::vector<std::uint8_t>* s) {
+      s->resize(pyramid_bytes(320, 240, 4) + 256);
+      const auto at = (reinterpret_cast<std::uintptr_t>(s->data()) + 63) / 64 * 64;
+      return build_pyramid(p.view(), 4, reinterpret_cast<std::uint8_t*>(at), s->size() - 64);
+    };
+    ref = build(a, &storage_a);
+    cur = build(b, &storage_b);
+  }
+  KeyframeFeature feature(double x, double y) const {
+    KeyframeFeature f;
+    f.px = f.px_global = Vec2f(static_cast<float>(x), static_cast<float>(y));
+    f.bearing = camera.unproject(Vec2(x, y));
+    return f;
+  }
+  double distance(const KeyframeFeature& f) const {
+    return scene.depth(camera, T_ref, f.px.cast<double>()) / f.bearing.z();
+  }
+};
+
+TEST(Matcher, WarpMatrixIsTheDerivativeOfTheWarp) {
+  const Views v;
+  const KeyframeFeature f = v.feature(150, 110);
+  const double d = v.distance(f);
+  Eigen::Matrix2f A;
+  ASSERT_TRUE(warp_matrix(v.camera, {&v.ref, &f, d}, v.T_cur, &A));
+  // Neighbouring rays cut with the plane that faces the reference camera at the point.
+  const auto there = [&](const Vec2& px) {
+    const Vec3 g = v.camera.unproject(px);
+    Vec2 out;
+    EXPECT_TRUE(v.camera.project(v.T_cur * (g * (d / g.dot(f.bearing))), &out));
+    return out;
+  };
+  const Vec2 px = f.px.cast<double>();
+  Eigen::Matrix2d N;
+  N.col(0) = (there(px + Vec2(0.5, 0)) - there(px - Vec2(0.5, 0)));
+  N.col(1) = (there(px + Vec2(0, 0.5)) - there(px - Vec2(0, 0.5)));
+  EXPECT_LT((A.cast<double>() - N).norm(), 5e-3);
+}
+
+TEST(Matcher, SearchLevelFollowsTheScale) {
+  EXPECT_EQ(search_level(Eigen::Matrix2f::Identity(), 0, 3), 0);
+  EXPECT_EQ(search_level(Eigen::Matrix2f::Identity(), 2, 3), 2);
+  EXPECT_EQ(search_level(2.2f * Eigen::Matrix2f::Identity(), 0, 3), 1);
+  EXPECT_EQ(search_level(20.0f * Eigen::Matrix2f::Identity(), 0, 3), 3) << "never above the top level";
+}
+
+TEST(Matcher, DirectMatchFindsThePointAndEpipolarSearchItsDepth) {
+  const Views v;
+  int direct = 0, epipolar = 0, tried = 0;
+  for (int y = 60; y < 190; y += 25) {
+    for (int x = 60; x < 260; x += 25) {
+      const KeyframeFeature f = v.feature(x, y);
+      const double d = v.distance(f);
+      Vec2 truth;
+      if (!v.camera.project(v.T_cur * (f.bearing * d), &truth) || !v.camera.in_image(truth, 15)) continue;
+      ++tried;
+      const MatchResult m =
+          match_direct(v.camera, {&v.ref, &f, d}, v.T_cur, v.cur, (truth + Vec2(1.0, -0.8)).cast<float>(), 3);
+      direct += m.found && (m.px.cast<double>() - truth).norm() < 0.25;
+      const EpipolarResult e = match_epipolar(v.camera, {&v.ref, &f, 2.0}, v.T_cur, v.cur, 1.2, 8.0, 3);
+      EXPECT_TRUE(e.visible);
+      if (e.match.found) epipolar += std::abs(e.depth - d) < 0.03 * d;
+    }
+  }
+  ASSERT_GT(tried, 20);
+  EXPECT_GE(direct, tried * 8 / 10);
+  EXPECT_GE(epipolar, tried * 6 / 10);
+}
+
+TEST(Matcher, TriangulationRefusesParallelRays) {
+  double depth = 0;
+  SE3 T;
+  T.t = Vec3(0.1, 0, 0);
+  EXPECT_FALSE(depth_from_triangulation(T, Vec3::UnitZ(), Vec3::UnitZ(), &depth));
+  const Vec3 p(0.2, 0.1, 2.0);
+  ASSERT_TRUE(depth_from_triangulation(T, p.normalized(), (T * p).normalized(), &depth));
+  EXPECT_NEAR(depth, p.norm(), 1e-9);
+}
+
+}  // namespace
+}  // namespace godwit::vo

@@ -1,0 +1,198 @@
+// Tracker and mapper together on rendered pictures with exact truth.
+#include <cstring>
+#include <gtest/gtest.h>
+#include <memory>
+#include <vector>
+
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
+#include "tests/vo_core/synthetic_scene.h"
+#include "vo_core/mapper.h"
+#include "vo_core/pyramid.h"
+#include "vo_core/tracker.h"
+
+namespace godwit::vo {
+namespace {
+
+CameraModel small_camera() {
+  return CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {0.05, -0.02, 0, 0, 0}).value();
+}
+
+// A sideways sweep with a gentle turn, 60 frames.
+std::vector<SE3> sweep(int frames) {
+  std::vector<SE3> out;
+  for (int i = 0; i < frames; ++i) {
+    const double s = 0.02 * i;
+    out.push_back(
+        SE3::exp((Vec6() << -s, 0.12 * std::sin(2.0 * s), 0.05 * std::sin(3.0 * s), 0, 0.06 * s, 0).finished()));
+  }
+  return out;
+}
+
+const std::vector<test::Picture>& pictures() {
+  static const std::vector<test::Picture> all = [] {
+    std::vector<test::Picture> out;
+    const test::SyntheticScene scene = test::SyntheticScene::general();
+    const CameraModel camera = small_camera();
+    for (const SE3& T : sweep(60)) out.push_back(scene.render(camera, T));
+    return out;
+  }();
+  return all;
+}
+
+struct Flown {
+  std::vector<FrameResult> frames;
+  std::uint64_t allocations = 0;
+  int slots_out = 0;
+};
+
+Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {}) {
+  const CameraModel camera = small_camera();
+  TrackerOptions options;
+  options.delta_delay_frames = 2;
+  auto channel = std::make_unique<MapChannel>();
+  Tracker tracker(camera, options, channel.get());
+  Mapper mapper(camera, MapperOptions{}, channel.get());
+  const int stride = 320;
+  const std::size_t base = 320 * 240, extra = pyramid_bytes(320, 240, rt::kPyramidLevels);
+  constexpr int kSlots = 90;
+  std::vector<std::unique_ptr<std::uint8_t[]>> memory;
+  std::vector<int> references(kSlots, 0);
+  for (int i = 0; i < kSlots; ++i) memory.emplace_back(new (std::align_val_t(64)) std::uint8_t[base + extra + 128]());
+  Flown run;
+  bool have_pose = false;
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    int slot = 0;
+    while (slot < kSlots && references[static_cast<std::size_t>(slot)] > 0) ++slot;
+    if (slot == kSlots) {
+      ADD_FAILURE() << "references are not given back";
+      break;
+    }
+    std::uint8_t* data = memory[static_cast<std::size_t>(slot)].get();
+    if (order[i] >= 0) {
+      std::memcpy(data, pictures()[static_cast<std::size_t>(order[i])].view().data, base);
+    } else {
+      std::memset(data, 0, base);
+    }
+    references[static_cast<std::size_t>(slot)] = 2;
+    FrameInput in;
+    in.grey = {data, 320, 240, stride};
+    in.pyramid_storage = data + base;
+    in.pyramid_bytes = extra;
+    in.mask = mask;
+    in.slot = slot;
+    in.sequence = static_cast<std::uint32_t>(i);
+    in.t_capture_ns = static_cast<rt::TimeNs>(i) * 33'333'333;
+    FrameResult r;
+    {
+      const rt::RtScope scope;
+      const std::uint64_t before = rt::rt_heap_counts().allocations;
+      r = tracker.track(in);
+      while (mapper.step()) {
+      }
+      if (have_pose) run.allocations += rt::rt_heap_counts().allocations - before;
+    }
+    have_pose |= r.tracked;
+    SlotRelease release;
+    while (tracker.take_release(&release)) references[static_cast<std::size_t>(release.slot)] -= release.count;
+    while (mapper.take_release(&release)) references[static_cast<std::size_t>(release.slot)] -= release.count;
+    for (int n : references) EXPECT_GE(n, 0);
+    run.frames.push_back(r);
+  }
+  for (int n : references) run.slots_out += n > 0;
+  for (auto& m : memory) ::operator delete[](m.release(), std::align_val_t(64));
+  return run;
+}
+
+std::vector<int> forward(int n) {
+  std::vector<int> out;
+  for (int i = 0; i < n; ++i) out.push_back(i);
+  return out;
+}
+
+TEST(Odometry, FollowsARenderedFlight) {
+  const Flown run = run_odometry(forward(60));
+  const std::vector<SE3> truth = sweep(60);
+  std::size_t first = 0;
+  while (first < run.frames.size() && !run.frames[first].tracked) ++first;
+  ASSERT_LT(first, 20u) << "no first map";
+  int tracked = 0;
+  for (std::size_t i = first; i < run.frames.size(); ++i) tracked += run.frames[i].tracked;
+  EXPECT_EQ(tracked, static_cast<int>(run.frames.size() - first));
+  // World: the first view's camera, in an unknown scale: least squares over the path.
+  double num = 0, den = 0;
+  for (std::size_t i = first; i < run.frames.size(); ++i) {
+    const Vec3 t = truth[0] * truth[i].inverse().t;
+    num += t.dot(run.frames[i].T_world_cam.t);
+    den += run.frames[i].T_world_cam.t.squaredNorm();
+  }
+  const double scale = num / den;
+  double worst = 0, worst_angle = 0;
+  for (std::size_t i = first; i < run.frames.size(); ++i) {
+    const Vec3 t = truth[0] * truth[i].inverse().t;
+    worst = std::max(worst, (scale * run.frames[i].T_world_cam.t - t).norm());
+    const Mat3 dR = run.frames[i].T_world_cam.R.transpose() * truth[0].R * truth[i].R.transpose();
+    worst_angle = std::max(worst_angle, so3_log(dR).norm());
+  }
+  EXPECT_LT(worst, 0.02) << "of a path of 1.2 units";
+  EXPECT_LT(worst_angle, 0.01);
+}
+
+TEST(Odometry, TwoRunsAreEqualToTheBitAndAPrefixIsAPrefix) {
+  const Flown a = run_odometry(forward(60)), b = run_odometry(forward(60)), c = run_odometry(forward(40));
+  for (std::size_t i = 0; i < 60; ++i) {
+    EXPECT_EQ(a.frames[i].tracked, b.frames[i].tracked);
+    EXPECT_EQ(a.frames[i].T_world_cam.t, b.frames[i].T_world_cam.t) << i;
+    EXPECT_EQ(a.frames[i].T_world_cam.R, b.frames[i].T_world_cam.R) << i;
+    if (i < 40) {
+      EXPECT_EQ(a.frames[i].T_world_cam.t, c.frames[i].T_world_cam.t) << i;
+    }
+  }
+}
+
+TEST(Odometry, NothingIsAllocatedAfterTheFirstPose) {
+  const Flown run = run_odometry(forward(60));
+  EXPECT_EQ(run.allocations, 0u);
+}
+
+TEST(Odometry, FrameSlotsComeBack) {
+  const Flown run = run_odometry(forward(60));
+  EXPECT_LT(run.slots_out, 40) << "keyframes and the last frame may keep theirs";
+}
+
+TEST(Odometry, BlackFramesAreNotTrackedAndTheViewIsFoundAgain) {
+  std::vector<int> order = forward(40);
+  for (int i = 0; i < 6; ++i) order.push_back(-1);
+  for (int i = 39; i < 45; ++i) order.push_back(i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[39].tracked);
+  for (std::size_t i = 40; i < 46; ++i) {
+    EXPECT_FALSE(run.frames[i].tracked) << i;
+    EXPECT_EQ(run.frames[i].state, State::kRelocalising);
+    EXPECT_GT(run.frames[i].reason_limit, run.frames[i].reason_value);
+  }
+  EXPECT_TRUE(run.frames.back().tracked);
+  EXPECT_EQ(run.frames.back().map_id, run.frames[39].map_id);
+}
+
+TEST(Odometry, AfterTooLongWithoutAPoseANewMapBegins) {
+  std::vector<int> order = forward(30);
+  for (int i = 0; i < TrackerOptions{}.lost_frames_reset + 2; ++i) order.push_back(-1);
+  for (int i = 0; i < 30; ++i) order.push_back(i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[29].tracked);
+  ASSERT_TRUE(run.frames.back().tracked);
+  EXPECT_EQ(run.frames.back().map_id, run.frames[29].map_id + 1);
+}
+
+TEST(Odometry, AMaskOverEverythingMeansNoPose) {
+  std::vector<std::uint8_t> ones(320 * 240, 255);
+  rt::MaskPyramidView mask;
+  mask.levels = rt::kPyramidLevels;
+  for (int l = 0; l < mask.levels; ++l)
+    mask.level[static_cast<std::size_t>(l)] = {ones.data(), 320 >> l, 240 >> l, 320};
+  for (const FrameResult& r : run_odometry(forward(30), mask).frames) EXPECT_FALSE(r.tracked);
+}
+
+}  // namespace
+}  // namespace godwit::vo

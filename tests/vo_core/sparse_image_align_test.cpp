@@ -1,0 +1,90 @@
+#include "vo_core/sparse_image_align.h"
+
+#include <gtest/gtest.h>
+#include <vector>
+
+#include "tests/vo_core/synthetic_scene.h"
+#include "vo_core/pyramid.h"
+
+namespace godwit::vo {
+namespace {
+
+struct View {
+  test::Picture picture;
+  std::vector<std::uint8_t> storage;
+  rt::PyramidView pyramid;
+
+  explicit View(test::Picture p) : picture(std::move(p)), storage(pyramid_bytes(320, 240, 4) + 256) {
+    const auto at = (reinterpret_cast<std::uintptr_t>(storage.data()) + 63) / 64 * 64;
+    pyramid = build_pyramid(picture.view(), 4, reinterpret_cast<std::uint8_t*>(at), storage.size() - 64);
+  }
+};
+
+struct Fixture {
+  CameraModel camera = CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {0.05, -0.02, 0, 0, 0}).value();
+  test::SyntheticScene scene = test::SyntheticScene::general();
+  SE3 T_ref, T_cur = SE3::exp((Vec6() << 0.015, -0.01, 0.02, 0.01, -0.015, 0.008).finished());
+  std::vector<AlignPoint> points;
+
+  Fixture() {
+    for (int y = 20; y < 225; y += 18)
+      for (int x = 20; x < 305; x += 18) {
+        const double z = scene.depth(camera, T_ref, Vec2(x, y));
+        const Vec3 f = camera.unproject(Vec2(x, y));
+        if (z > 0) points.push_back({Vec2f(static_cast<float>(x), static_cast<float>(y)), f * (z / f.z())});
+      }
+  }
+  SparseAlignOptions options() const {
+    SparseAlignOptions o;
+    o.max_level = 3;
+    o.min_level = 1;
+    o.max_iterations = 15;
+    return o;
+  }
+};
+
+TEST(SparseImageAlign, FindsTheMotionBetweenTwoFrames) {
+  Fixture f;
+  const View ref(f.scene.render(f.camera, f.T_ref)), cur(f.scene.render(f.camera, f.T_cur));
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, f.points, SE3(), {});
+  const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
+  EXPECT_LT(e.head<3>().norm(), 0.004);
+  EXPECT_LT(e.tail<3>().norm(), 0.002);
+  EXPECT_GT(r.patches, 100);
+}
+
+TEST(SparseImageAlign, ADarkerExposureChangesNothing) {
+  Fixture f;
+  const View ref(f.scene.render(f.camera, f.T_ref)), cur(f.scene.render(f.camera, f.T_cur, 0.7, 20.0));
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, f.points, SE3(), {});
+  const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
+  EXPECT_LT(e.head<3>().norm(), 0.006);
+  EXPECT_LT(e.tail<3>().norm(), 0.003);
+  EXPECT_NEAR(r.gain, 0.7f, 0.06f);
+}
+
+TEST(SparseImageAlign, ARotationPriorHoldsTheRotation) {
+  Fixture f;
+  const View ref(f.scene.render(f.camera, f.T_ref));
+  // The same picture twice, and a prior that says that the camera turned: with a tiny sigma the prior wins.
+  RotationPrior prior;
+  prior.R_cur_ref = so3_exp(Vec3(0, 0.002, 0));
+  prior.sigma_rad = 1e-7;
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, ref.pyramid, f.points, SE3(), prior);
+  EXPECT_LT(so3_log(r.T_cur_ref.R.transpose() * prior.R_cur_ref).norm(), 5e-4);
+}
+
+TEST(SparseImageAlign, ABlackPictureGivesFiniteNumbers) {
+  Fixture f;
+  const View ref(f.scene.render(f.camera, f.T_ref)), black(test::Picture(320, 240, 0));
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, black.pyramid, f.points, SE3(), {});
+  EXPECT_TRUE(r.T_cur_ref.t.allFinite());
+  EXPECT_TRUE(r.T_cur_ref.R.allFinite());
+}
+
+}  // namespace
+}  // namespace godwit::vo
