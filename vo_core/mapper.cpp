@@ -220,6 +220,9 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& 
   const double shift_px = camera_.fx() * t_host_cur.norm() * e.inv_depth * e.relative_sigma();
   const bool good_enough = hunger_ > options_.hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
   if (good_enough || e.relative_sigma() < sigma_limit_) {
+    // No room in this delta: the seed waits for the next one.
+    if (delta_->new_point_count >= MapDelta::kMaxNewPoints || delta_->new_feature_count >= MapDelta::kMaxNewFeatures)
+      return;
     seed_to_point(seed);
     seed->active = false;
   }
@@ -241,8 +244,6 @@ void Mapper::update_seeds(const MapperMessage& m) {
 }
 
 bool Mapper::seed_to_point(Seed* seed) {
-  if (delta_->new_point_count >= MapDelta::kMaxNewPoints || delta_->new_feature_count >= MapDelta::kMaxNewFeatures)
-    return false;
   const Keyframe& host = map_.keyframe(seed->place);
   if (host.feature_count >= kMaxKeyframeFeatures) return false;
   const PointHandle h = map_.free_point();

@@ -292,6 +292,13 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     return;
   }
 
+  // Both keyframes must find room, or neither is sent.
+  if (channel_->messages.free_items() < 2) {
+    retire(&current);
+    begin_map();
+    result->reason = "mapper is still busy with the last map";
+    return;
+  }
   // Two keyframes and their common points. World frame: the first view's camera.
   const std::span<const InitPoint> points = initializer_.points();
   const int n = static_cast<int>(std::min<std::size_t>(points.size(), kMaxFrameFeatures - 20));
@@ -311,21 +318,13 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   }
   median_depth_ = scene_depth(first_.T_cam_world, &min_depth_);
   const int place1 = insert_keyframe(first_, 1);
-  if (!send(MessageKind::kKeyframe, &first_, 1, place1)) {
-    begin_map();
-    result->reason = "mapper is still busy with the last map";
-    return;
-  }
+  send(MessageKind::kKeyframe, &first_, 1, place1);
   for (int i = 0; i < n; ++i)
     features_[i].px = features_[i].px_global =
         points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)].px_cur;
   median_depth_ = scene_depth(current.T_cam_world, &min_depth_);
   const int place2 = insert_keyframe(current, 2);
-  if (!send(MessageKind::kKeyframe, &current, 2, place2)) {
-    begin_map();
-    result->reason = "mapper is still busy with the last map";
-    return;
-  }
+  send(MessageKind::kKeyframe, &current, 2, place2);
   next_keyframe_id_ = 3;
   last_keyframe_id_ = 2;
   frames_since_keyframe_ = 0;
@@ -339,6 +338,19 @@ void Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   result->is_keyframe = true;
   result->measurements = result->matches = n;
   result->T_world_cam = current.T_cam_world.inverse();
+  // The pose stands as the initialisation gave it; its covariance is that of its measurements against the first points.
+  for (int i = 0; i < n; ++i) {
+    PoseMeasurement& m = measurements_[i];
+    m = {};
+    m.px = features_[i].px_global.cast<double>();
+    m.p_world = map_->point(features_[i].point.index).p_world;
+    m.sigma_px = static_cast<double>(1 << features_[i].level);
+  }
+  SE3 refined = current.T_cam_world;
+  const PoseOptimizerResult fit = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), n), &refined);
+  result->covariance = fit.ok ? fit.covariance : Mat6::Identity();
+  result->rms_px = fit.rms_px;
+  result->median_depth = median_depth_;
   result->reason =
       result->init.model == InitModel::kHomography ? "first map, homography" : "first map, fundamental matrix";
   result->reason_value = n;

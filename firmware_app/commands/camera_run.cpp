@@ -74,6 +74,9 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
   layout.slots = config.pipeline.frame_slots;
   if (layout.slots == 0) layout.slots = odometry_frame_slots();
+  if (layout.slots < odometry_frame_slots_min())
+    return refuse(fmt::format("pipeline.frame_slots: {} are too few to fly with; 0 or at least {} are allowed",
+                              layout.slots, odometry_frame_slots_min()));
   layout.readers = kFrameReaders;
   auto pool = rt::FramePool::create(layout);
   if (!pool) return refuse(pool.error().message);

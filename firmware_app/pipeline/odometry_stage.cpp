@@ -1,5 +1,6 @@
 #include "firmware_app/pipeline/odometry_stage.h"
 
+#include <algorithm>
 #include <array>
 
 #include "vo_core/mapper.h"
@@ -16,6 +17,11 @@ constexpr int item_count(const vo::ExchangeRing<Item, kItems>*) {
 /// Messages that fit between tracker and mapper.
 constexpr int kMessages = item_count(static_cast<decltype(vo::MapChannel::messages)*>(nullptr));
 
+/// Slots beside the keyframes': those of keyframes that the mapper has forgotten and the tracker not yet, the messages
+/// under way, the first view, the last frame, the one in work and the one being read.
+constexpr int kSlotsBesideKeyframes = 4 + kMessages + 4;
+constexpr int kFewestKeyframes = 8;
+
 class OdometryStage final : public FrameStage {
  public:
   OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool)
@@ -25,7 +31,7 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options), channel_.get())) {}
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {}
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -51,8 +57,10 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
-  static vo::MapperOptions mapper_options(const OdometryOptions& options) {
+  static vo::MapperOptions mapper_options(const OdometryOptions& options, int slots) {
     vo::MapperOptions out;
+    // Fewer slots than wanted: fewer keyframes, or in time they would hold every slot.
+    out.max_keyframes = std::min(out.max_keyframes, slots - kSlotsBesideKeyframes);
     out.shutter.readout_s = options.readout_s;
     return out;
   }
@@ -119,11 +127,11 @@ std::size_t odometry_pyramid_bytes(int width, int height) {
 }
 
 int odometry_frame_slots() {
-  // Tracker and mapper keep the keyframes of the map, the tracker some more until it hears what the mapper has
-  // forgotten; on top come the messages under way, the first view, the last frame, the one in work and the one being
-  // read.
-  constexpr int kForgettingUnderWay = 4;
-  return vo::MapperOptions{}.max_keyframes + kForgettingUnderWay + kMessages + 4;
+  return vo::MapperOptions{}.max_keyframes + kSlotsBesideKeyframes;
+}
+
+int odometry_frame_slots_min() {
+  return kFewestKeyframes + kSlotsBesideKeyframes;
 }
 
 std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,

@@ -31,6 +31,9 @@ std::size_t odometry_pyramid_bytes(int width, int height);
 /// Frame slots that the odometry may hold on to: keyframes, and frames under way between tracker and mapper.
 int odometry_frame_slots();
 
+/// Fewest slots with which it can fly: with less than it wants it keeps fewer keyframes.
+int odometry_frame_slots_min();
+
 /// All memory is taken here. The pool outlives the stage.
 std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
                                                 rt::FramePool* pool);

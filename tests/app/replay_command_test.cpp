@@ -147,6 +147,15 @@ TEST_F(Replay, ABadConfigurationIsRefusedWithAllItsMistakes) {
   EXPECT_EQ(replay("--sequential --config '" + (folder_ / "good.toml") + "'").exit_code, 0);
 }
 
+TEST_F(Replay, TooFewSlotsToFlyAreRefusedAndTheFewestAllowedEnd) {
+  write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 8\n");
+  const Outcome few = replay("--config '" + (folder_ / "c.toml") + "'");
+  EXPECT_EQ(few.exit_code, 2);
+  EXPECT_THAT(few.text, AllOf(HasSubstr("frame_slots"), HasSubstr("at least 32")));
+  write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 32\n");
+  EXPECT_EQ(replay("--config '" + (folder_ / "c.toml") + "'").exit_code, 0);
+}
+
 TEST_F(Replay, AnUnwritableFolderIsAFailureWithItsReason) {
   write_file(out(), "a file is in the way");
   const Outcome outcome = replay("--sequential");

@@ -116,6 +116,8 @@ TEST(Odometry, FollowsARenderedFlight) {
   std::size_t first = 0;
   while (first < run.frames.size() && !run.frames[first].tracked) ++first;
   ASSERT_LT(first, 20u) << "no first map";
+  // Also the very first pose says how sure it is.
+  EXPECT_GT(run.frames[first].covariance.diagonal().minCoeff(), 0.0);
   int tracked = 0;
   for (std::size_t i = first; i < run.frames.size(); ++i) tracked += run.frames[i].tracked;
   EXPECT_EQ(tracked, static_cast<int>(run.frames.size() - first));
