@@ -11,9 +11,9 @@
 namespace godwit::vo {
 
 struct PoseMeasurement {
-  Vec2 px;  ///< measured, level-0 px
-  Vec3 p_world;
-  Vec2 gradient;  ///< edgelets: unit direction in which the measurement counts
+  Vec2 px = Vec2::Zero();  ///< measured, level-0 px
+  Vec3 p_world = Vec3::Zero();
+  Vec2 gradient = Vec2::UnitX();  ///< edgelets: unit direction in which the measurement counts
   double sigma_px = 1.0;
   FeatureType type = FeatureType::kCorner;
   bool inlier = true;  ///< result
