@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "hal/camera/replay/replay_camera.h"
+#include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
@@ -36,10 +37,11 @@ class FlightFolder : public testing::Test {
     delete flight_;
     flight_ = nullptr;
   }
-  void SetUp() override { folder_ = fs::path(testing::TempDir()) / "godwit_flight"; }
+  void SetUp() override { folder_ = temp_.path() / "flight"; }
   void TearDown() override { fs::remove_all(folder_); }
 
   static sim::Flight* flight_;
+  test::TempFolder temp_;  // of its own: tests run side by side
   fs::path folder_;
   std::atomic<bool> stop_{false};
 };

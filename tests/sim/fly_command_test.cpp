@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "firmware_app/commands/exit_code.h"
+#include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
@@ -23,7 +24,7 @@ std::string content(const fs::path& file) {
 class Fly : public testing::Test {
  protected:
   void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) / "godwit_fly";
+    folder_ = temp_.path() / "flight";
     arguments_.flight.scenario = "street";
     arguments_.flight.folder = GODWIT_SCENARIO_DIR;
     arguments_.run.sequential = true;
@@ -35,6 +36,7 @@ class Fly : public testing::Test {
     arguments_.run.out = (folder_ / name).string();
     return run_fly(arguments_, stop_);
   }
+  test::TempFolder temp_;  // of its own: tests run side by side
   fs::path folder_;
   FlyArguments arguments_;
   std::atomic<bool> stop_{false};
