@@ -4,40 +4,13 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
-#include <functional>
 #include <memory>
 #include <toml++/toml.h>
 
-#include "hal/rt/frame_pool.h"
+#include "firmware_app/config_schema.h"
 
 namespace godwit::app {
 namespace {
-
-/// One key: its full name, what it may be, and where it goes. apply returns false if the value is not allowed.
-struct Key {
-  std::string name;
-  std::string allowed;
-  std::function<bool(const toml::node&, Config*)> apply;
-};
-
-Key whole(const std::string& name, int low, int high, int Config::Pipeline::*member) {
-  return {name, "a whole number from " + std::to_string(low) + " to " + std::to_string(high),
-          [=](const toml::node& node, Config* config) {
-            if (!node.is_integer()) return false;
-            const std::int64_t value = node.as_integer()->get();
-            if (value < low || value > high) return false;
-            config->pipeline.*member = static_cast<int>(value);
-            return true;
-          }};
-}
-
-/// The whole configuration, key by key.
-std::vector<Key> all_keys() {
-  return {
-      whole("pipeline.frame_slots", 0, rt::kMaxFrameSlots, &Config::Pipeline::frame_slots),
-      whole("pipeline.mapper_delay_frames", 1, 30, &Config::Pipeline::mapper_delay_frames),
-  };
-}
 
 std::string at(const std::string& name, const toml::node& node) {
   return name + ":" + std::to_string(node.source().begin.line) + ": ";
@@ -59,48 +32,87 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
   return row[b.size()];
 }
 
-std::string suggestion(const std::string& unknown, const std::vector<Key>& keys) {
-  const std::string head = unknown.substr(0, 64);  // the file's author chooses its length
-  const auto nearest = std::min_element(keys.begin(), keys.end(), [&](const Key& a, const Key& b) {
-    return edit_distance(head, a.name) < edit_distance(head, b.name);
-  });
-  return "; the nearest known key is " + nearest->name + ", config/godwit.toml lists all";
+/// The names of the sections directly below prefix ("" or "section."), each once.
+std::vector<std::string> sections_below(const std::string& prefix, const std::vector<Key>& keys) {
+  std::vector<std::string> out;
+  for (const Key& key : keys) {
+    const std::size_t dot = key.name.find('.', prefix.size());
+    if (key.name.compare(0, prefix.size(), prefix) != 0 || dot == std::string::npos) continue;
+    std::string section = key.name.substr(0, dot);
+    if (std::find(out.begin(), out.end(), section) == out.end()) out.push_back(std::move(section));
+  }
+  return out;
 }
 
-void read_table(const toml::table& table, const std::string& prefix, const std::string& name,
-                const std::vector<Key>& keys, ConfigReport* report) {
+std::string unknown_section(const std::string& prefix, const std::vector<Key>& keys) {
+  const std::vector<std::string> known = sections_below(prefix, keys);
+  if (known.empty()) return "a section is not allowed here";
+  std::string out = "unknown section; allowed are";
+  for (const std::string& section : known) out += (section == known.front() ? " [" : ", [") + section + "]";
+  return out;
+}
+
+std::string unknown_key(const std::string& unknown, const std::vector<Key>& keys) {
+  const std::string head = unknown.substr(0, 64);  // the file's author chooses its length
+  const auto distance = [&](const Key& key) { return edit_distance(head, key.name); };
+  const auto nearest =
+      std::min_element(keys.begin(), keys.end(), [&](const Key& a, const Key& b) { return distance(a) < distance(b); });
+  // A slip of the pen, or the right key in the wrong section; what is further off would only mislead.
+  const std::string leaf = head.substr(head.rfind('.') + 1);
+  const auto same_leaf = std::find_if(keys.begin(), keys.end(),
+                                      [&](const Key& key) { return key.name.substr(key.name.rfind('.') + 1) == leaf; });
+  std::string hint;
+  if (distance(*nearest) <= std::max<std::size_t>(2, nearest->name.size() / 4)) {
+    hint = "did you mean " + nearest->name + "? ";
+  } else if (same_leaf != keys.end()) {
+    hint = "did you mean " + same_leaf->name + "? ";
+  }
+  return "unknown key; " + hint + "config/godwit.toml lists all";
+}
+
+void read_table(const toml::table& table, const std::string& prefix, const std::vector<Key>& keys,
+                ConfigReport* report) {
+  const std::vector<std::string> sections = sections_below(prefix, keys);
   for (const auto& [key_node, node] : table) {
     const std::string full = prefix + std::string(key_node.str());
     const auto known = std::find_if(keys.begin(), keys.end(), [&](const Key& k) { return k.name == full; });
     if (known != keys.end()) {
-      if (!known->apply(node, &report->config)) {
-        report->mistakes.push_back(at(name, node) + full + ": " + known->allowed + " is allowed");
-      }
+      report->lines[full] = static_cast<int>(node.source().begin.line);
+      if (!known->apply(node)) report->mistake(full, known->allowed + " is allowed");
       continue;
     }
-    const bool is_section = std::any_of(
-        keys.begin(), keys.end(), [&](const Key& k) { return k.name.compare(0, full.size() + 1, full + ".") == 0; });
+    const bool is_section = std::find(sections.begin(), sections.end(), full) != sections.end();
     if (is_section && node.is_table()) {
-      read_table(*node.as_table(), full + ".", name, keys, report);
+      read_table(*node.as_table(), full + ".", keys, report);
     } else if (is_section) {
-      report->mistakes.push_back(at(name, node) + full + ": a section, [" + full + "], is allowed");
+      report->mistakes.push_back(at(report->file, node) + full + ": a section, [" + full + "], is allowed");
     } else {
-      report->mistakes.push_back(at(name, node) + full + ": unknown key" + suggestion(full, keys));
+      const std::string what = node.is_table() ? unknown_section(prefix, keys) : unknown_key(full, keys);
+      report->mistakes.push_back(at(report->file, node) + full + ": " + what);
     }
   }
 }
 
 }  // namespace
 
+void ConfigReport::mistake(const std::string& key, const std::string& message) {
+  const auto line = lines.find(key);
+  mistakes.push_back(file + ":" + (line == lines.end() ? " " : std::to_string(line->second) + ": ") + key + ": " +
+                     message);
+}
+
 ConfigReport parse_config(std::string_view text, const std::string& name) {
   ConfigReport report;
+  report.file = name;
   try {
-    read_table(toml::parse(text), "", name, all_keys(), &report);
+    read_table(toml::parse(text), "", config_keys(&report.config), &report);
   } catch (const toml::parse_error& e) {
     report.mistakes.push_back(name + ":" + std::to_string(e.source().begin.line) +
                               ": not TOML: " + std::string(e.description()));
+    return report;
   }
-  // The table keeps its keys sorted by name; mistakes are told in the order of the file.
+  check_contradictions(&report);
+  // The table keeps its keys sorted by name; mistakes are told in the order of the file, those without a line first.
   std::stable_sort(report.mistakes.begin(), report.mistakes.end(), [&](const std::string& a, const std::string& b) {
     return std::atol(a.c_str() + name.size() + 1) < std::atol(b.c_str() + name.size() + 1);
   });
@@ -111,6 +123,7 @@ ConfigReport load_config(const std::string& file) {
   const auto close = [](std::FILE* f) { std::fclose(f); };
   const std::unique_ptr<std::FILE, decltype(close)> in(std::fopen(file.c_str(), "rb"), close);
   ConfigReport report;
+  report.file = file;
   std::string text;
   char block[4096];
   std::size_t n = 0;
@@ -120,6 +133,13 @@ ConfigReport load_config(const std::string& file) {
     return report;
   }
   return parse_config(text, file);
+}
+
+std::vector<std::string> show_config(const Config& config) {
+  Config copy = config;
+  std::vector<std::string> out;
+  for (const Key& key : config_keys(&copy)) out.push_back(key.name + " = " + key.show());
+  return out;
 }
 
 }  // namespace godwit::app

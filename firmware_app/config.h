@@ -1,13 +1,14 @@
 // The configuration: one TOML file into one struct that nobody changes afterwards.
 #pragma once
 
+#include <map>
 #include <string>
 #include <string_view>
 #include <vector>
 
 namespace godwit::app {
 
-/// Every key of config/godwit.toml with its default. Keys and ranges: config.cpp.
+/// Every key of config/godwit.toml with its default. Keys and ranges: config_schema.cpp.
 struct Config {
   struct Pipeline {
     int frame_slots = 0;          ///< 0: as many as the odometry needs
@@ -19,14 +20,22 @@ struct Config {
 struct ConfigReport {
   Config config;                      ///< valid if mistakes is empty
   std::vector<std::string> mistakes;  ///< each names file, line, key and what is allowed
+  std::string file;                   ///< what the file is called in mistakes
+  std::map<std::string, int> lines;   ///< full name of each known key that the file holds -> its line
   bool ok() const { return mistakes.empty(); }
+
+  /// Adds "file:line: key: message"; without the line where the file does not hold the key, which then has its default.
+  void mistake(const std::string& key, const std::string& message);
 };
 
-/// Pure function over text; collects all mistakes (unknown keys, wrong types, out of range) instead of stopping at the
-/// first.
+/// Pure function over text; collects all mistakes (unknown keys, wrong types, out of range, contradictions) instead of
+/// stopping at the first.
 ConfigReport parse_config(std::string_view toml, const std::string& name);
 
 /// The same from a file; a file that cannot be read is a mistake.
 ConfigReport load_config(const std::string& file);
+
+/// "key = value" for every key, as TOML, in the order of config/godwit.toml.
+std::vector<std::string> show_config(const Config& config);
 
 }  // namespace godwit::app

@@ -28,7 +28,7 @@ void count(const FrameRecord& record, PipelineCounters* counters) {
 
 namespace {
 
-rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
+rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool, FrameTap* tap,
                                             FrameSink* sink, const std::atomic<bool>& stop) {
   Feeder feeder(camera, pool);
   PipelineCounters counters;
@@ -42,6 +42,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     if (outcome == Feeder::Outcome::kFrame) {
       const rt::RtScope real_time;
       track_frame(stage, handle, &record);
+      if (tap != nullptr) tap->frame_done(record);
       const rt::TimeNs before = rt::thread_cpu_now_ns();
       while (stage->map_step()) {
       }
@@ -74,8 +75,8 @@ rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage
                                           const PipelineOptions& options, FrameSink* sink,
                                           const std::atomic<bool>& stop) {
   assert(pool->layout().readers == kFrameReaders);
-  if (options.sequential) return run_sequential(camera, stage, pool, sink, stop);
-  ThreadedPipeline pipeline(camera, stage, pool, options.newest_frame);
+  if (options.sequential) return run_sequential(camera, stage, pool, options.tap, sink, stop);
+  ThreadedPipeline pipeline(camera, stage, pool, options);
   return pipeline.run(sink, stop);
 }
 

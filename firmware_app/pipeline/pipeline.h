@@ -19,11 +19,20 @@ class FrameSink {
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
 };
 
+/// Hears of each frame at once, before files and logs do: what goes out to the autopilot starts here.
+class FrameTap {
+ public:
+  virtual ~FrameTap() = default;
+  /// A frame went through the tracker. Tracker thread, under its rules: no allocation, no lock, no wait.
+  virtual void frame_done(const FrameRecord& record) = 0;
+};
+
 struct PipelineOptions {
   bool sequential = false;  ///< everything in the calling thread, in a fixed order
   /// Threads only. True (a camera, or a replay at real pace): the camera is never held up; the tracker takes the newest
   /// frame and older ones are dropped. False (replay as fast as it goes): the feeder waits, nothing is dropped.
   bool newest_frame = false;
+  FrameTap* tap = nullptr;  ///< may be null
 };
 
 struct PipelineCounters {

@@ -15,11 +15,13 @@ constexpr rt::TimeNs kSleepNs = 100 * rt::kNsPerMs;
 constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
 }  // namespace
 
-ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool, bool newest_frame)
+ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
+                                   const PipelineOptions& options)
     : camera_(camera),
       stage_(stage),
       pool_(pool),
-      newest_frame_(newest_frame),
+      newest_frame_(options.newest_frame),
+      tap_(options.tap),
       fed_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()),
       tracked_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()) {}
 
@@ -145,6 +147,7 @@ void ThreadedPipeline::track() {
       if (newest_frame_) take_newest(&handle, &tracker_return);
       FrameRecord record;
       track_frame(stage_, handle, &record);
+      if (tap_ != nullptr) tap_->frame_done(record);
       const rt::TimeNs mapper_cpu = mapper_cpu_ns_.load(std::memory_order_relaxed);
       record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen;
       record.stage_ns[kMapStage] = record.mapper_cpu_ns;

@@ -18,7 +18,7 @@ void count(const FrameRecord& record, PipelineCounters* counters);
 /// One run. See run_pipeline.
 class ThreadedPipeline {
  public:
-  ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool, bool newest_frame);
+  ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool, const PipelineOptions& options);
   rt::Result<PipelineCounters> run(FrameSink* sink, const std::atomic<bool>& stop);
 
  private:
@@ -44,6 +44,7 @@ class ThreadedPipeline {
   FrameStage* stage_;
   rt::FramePool* pool_;
   const bool newest_frame_;
+  FrameTap* const tap_;
 
   rt::SpscRing<rt::FrameHandle, kFrameRing> frames_;                 ///< feeder -> tracker
   std::unique_ptr<rt::SpscRing<FrameRecord, kRecordRing>> fed_;      ///< feeder -> collector: pictures not flown

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware_app/config_schema.h"
+
 namespace godwit::app {
 namespace {
 
@@ -39,9 +41,9 @@ TEST(Config, TellsAllMistakesAtOnceInTheOrderOfTheFile) {
   EXPECT_THAT(report.mistakes[0], HasSubstr("c.toml:1: zebra: unknown key"));
   EXPECT_EQ(report.mistakes[1], "c.toml:3: pipeline.mapper_delay_frames: a whole number from 1 to 30 is allowed");
   EXPECT_THAT(report.mistakes[2],
-              HasSubstr("c.toml:4: pipeline.frame_slot: unknown key; the nearest known key is pipeline.frame_slots"));
+              HasSubstr("c.toml:4: pipeline.frame_slot: unknown key; did you mean pipeline.frame_slots?"));
   EXPECT_EQ(report.mistakes[3], "c.toml:5: pipeline.frame_slots: a whole number from 0 to 128 is allowed");
-  EXPECT_THAT(report.mistakes[4], HasSubstr("c.toml:6: aardvark: unknown key"));
+  EXPECT_THAT(report.mistakes[4], HasSubstr("c.toml:6: aardvark: unknown section; allowed are [pipeline]"));
 }
 
 TEST(Config, WrongKindsOfValuesAreMistakes) {
@@ -65,11 +67,30 @@ TEST(Config, AFileThatIsNotThereIsAMistake) {
   EXPECT_THAT(load_config("/").mistakes, SizeIs(1)) << "a folder is no file";
 }
 
-TEST(Config, TheCommentedFileHoldsExactlyTheDefaults) {
+TEST(Config, AKeyInTheWrongSectionIsToldItsPlace) {
+  EXPECT_THAT(parse_config("mapper_delay_frames = 2\n", "c.toml").mistakes,
+              ElementsAre(HasSubstr("c.toml:1: mapper_delay_frames: unknown key; did you mean "
+                                    "pipeline.mapper_delay_frames?")));
+  EXPECT_THAT(parse_config("[pipeline.frame_slots_]\nx = 1\n", "c.toml").mistakes,
+              ElementsAre("c.toml:1: pipeline.frame_slots_: a section is not allowed here"));
+}
+
+TEST(Config, TheCommentedFileHoldsEveryKeyWithItsDefault) {
   const ConfigReport report = load_config(GODWIT_CONFIG_FILE);
   ASSERT_TRUE(report.ok()) << report.mistakes[0];
-  EXPECT_EQ(report.config.pipeline.frame_slots, Config{}.pipeline.frame_slots);
-  EXPECT_EQ(report.config.pipeline.mapper_delay_frames, Config{}.pipeline.mapper_delay_frames);
+  EXPECT_EQ(show_config(report.config), show_config(Config{}));
+  Config any;
+  for (const Key& key : config_keys(&any)) {
+    EXPECT_THAT(report.lines, testing::Contains(testing::Key(key.name))) << "config/godwit.toml";
+  }
+}
+
+TEST(Config, WhatIsShownReadsBackToTheSame) {
+  std::string text;
+  for (const std::string& line : show_config(Config{})) text += line + "\n";
+  const ConfigReport report = parse_config(text, "c.toml");
+  ASSERT_TRUE(report.ok()) << report.mistakes[0];
+  EXPECT_EQ(show_config(report.config), show_config(Config{}));
 }
 
 }  // namespace

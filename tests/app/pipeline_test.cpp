@@ -186,6 +186,26 @@ TEST_P(BothModes, NumbersThatADeviceLeavesOutHoldNothingUp) {
   }
 }
 
+TEST_P(BothModes, TheTapHearsOfEachProcessedFrameInRealTime) {
+  struct Tap final : FrameTap {
+    std::uint64_t frames = 0, outside = 0;
+    std::uint32_t last = 0;
+    void frame_done(const FrameRecord& record) override {
+      ++frames;
+      last = record.sequence;
+      if (!rt::in_rt_scope() || record.t_done_ns == 0) ++outside;
+    }
+  } tap;
+  TestRun run(50);
+  run.options.sequential = GetParam();
+  run.options.tap = &tap;
+  run.camera.bad = {3, 4};
+  ASSERT_TRUE(run.go().ok());
+  EXPECT_EQ(tap.frames, 48u);
+  EXPECT_EQ(tap.last, 49u);
+  EXPECT_EQ(tap.outside, 0u);
+}
+
 TEST_P(BothModes, AnEmptyCameraEndsAtOnce) {
   TestRun run(0);
   run.options.sequential = GetParam();

@@ -1,6 +1,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <string>
 #include <string_view>
 
 #include "firmware_app/config.h"
@@ -11,9 +12,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     if (mistake.find("godwit.toml:") != 0) std::abort();
   }
   if (report.ok()) {
-    const auto& p = report.config.pipeline;
-    if (p.frame_slots < 0 || p.frame_slots > 128 || p.mapper_delay_frames < 1 || p.mapper_delay_frames > 30)
-      std::abort();
+    // What was accepted is shown in words that are accepted again, and mean the same: every value is in its range.
+    const auto shown = godwit::app::show_config(report.config);
+    std::string text;
+    for (const auto& line : shown) text += line + "\n";
+    const auto again = godwit::app::parse_config(text, "shown.toml");
+    if (!again.ok() || godwit::app::show_config(again.config) != shown) std::abort();
   }
   return 0;
 }
