@@ -83,7 +83,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
 
   OdometryOptions odometry = odometry_options(calibration);
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
-  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get());
+  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), plan.masks);
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "firmware_app/config.h"
+#include "firmware_app/pipeline/mask_source.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
 
@@ -19,7 +20,8 @@ struct CameraRunPlan {
   std::string pace = "max";
   bool sequential = false;
   std::int64_t start = 0;
-  std::int64_t total = 0;  ///< pictures to come, for the progress bar
+  std::int64_t total = 0;       ///< pictures to come, for the progress bar
+  MaskSource* masks = nullptr;  ///< dynamic pixels; null: nothing is masked
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

@@ -1,61 +1,15 @@
 #include "firmware_app/commands/fly_command.h"
 
-#include <algorithm>
-#include <chrono>
 #include <filesystem>
-#include <thread>
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/output/atomic_file.h"
 #include "firmware_app/output/flight_writer.h"
+#include "firmware_app/sim/flown_camera.h"
 
 namespace godwit::app {
 namespace {
-
-/// The simulated camera with a pace and a last picture; keeps the true boxes of what was seen.
-class FlownCamera final : public hal::Camera {
- public:
-  FlownCamera(const sim::Flight& flight, const ReplayArguments& run)
-      : camera_(flight.camera(0)),
-        real_(run.pace == "real"),
-        first_(static_cast<int>(std::min<std::int64_t>(run.start, camera_->frames()))),
-        left_(camera_->frames() - first_) {
-    if (run.frames > 0) left_ = static_cast<int>(std::min<std::int64_t>(run.frames, left_));
-    camera_->skip_to(first_);
-    boxes_ = boxes_head();
-  }
-  int width() const override { return camera_->width(); }
-  int height() const override { return camera_->height(); }
-  int channels() const override { return camera_->channels(); }
-  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
-                         hal::CapturedFrame* frame, std::string* why) override {
-    if (left_ == 0) return hal::CameraStatus::kEnd;
-    --left_;
-    const hal::CameraStatus status = camera_->next(grey, bgr, timeout_ns, frame, why);
-    frame->sequence -= static_cast<std::uint32_t>(first_);
-    if (status == hal::CameraStatus::kFrame && grey.data != nullptr)
-      boxes_ += boxes_lines(*camera_, frame->t_source_ns);
-    if (real_) {
-      // The picture was drawn ahead; it is there when its exposure is over, on the clock that began with the first.
-      if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns() - frame->t_source_ns;
-      frame->t_capture_ns = start_ns_ + frame->t_source_ns;
-      const rt::TimeNs wait = frame->t_capture_ns - rt::monotonic_now_ns();
-      if (wait > 0) std::this_thread::sleep_for(std::chrono::nanoseconds(wait));
-    }
-    return status;
-  }
-  int left() const { return left_; }
-  const std::string& boxes() const { return boxes_; }
-
- private:
-  std::unique_ptr<sim::SimCamera> camera_;
-  const bool real_;
-  const int first_;
-  int left_;
-  rt::TimeNs start_ns_ = 0;
-  std::string boxes_;
-};
 
 hal::CameraCalibration calibration_of(const sim::Flight& flight) {
   const sim::CameraPlan& plan = flight.scenario().camera;
@@ -85,6 +39,7 @@ rt::Result<void> write_truth(const sim::Flight& flight, const FlownCamera& camer
   if (error) return rt::Error{out + ": cannot make the folder: " + error.message()};
   // The run's times count from the flight's start.
   if (auto r = write_ground_truth(flight, out + "/groundtruth.txt", 0); !r) return r;
+  if (auto r = write_sensors(flight, out, 0); !r) return r;
   AtomicFile file;
   if (auto r = file.open(out + "/boxes.csv"); !r) return r;
   if (auto r = file.write(camera.boxes()); !r) return r;
@@ -97,9 +52,13 @@ void add_fly_command(CLI::App* app, FlyArguments* a) {
   CLI::App* command = app->add_subcommand("fly", "Fly a simulated scenario: a pose for every frame out, and the truth");
   add_flight_options(command, &a->flight);
   add_run_options(command, &a->run);
+  command->add_flag("--truth-masks", a->truth_masks,
+                    "Leave the true boxes of people, cars and trucks out, as a detector without fault would");
+  command->add_flag("--render-ahead", a->render_ahead,
+                    "Draw all pictures into memory first, so that the flight has the processor for itself");
   command->footer(
-      "Writes what replay writes (trajectory.tum, frames.csv, pose.csv, summary.json), and groundtruth.txt and "
-      "boxes.csv.\n"
+      "Writes what replay writes (trajectory.tum, frames.csv, pose.csv, summary.json), and the truth: groundtruth.txt\n"
+      "(camera), groundtruth_body.txt, boxes.csv, imu.csv, range.csv, gnss.csv.\n"
       "Example: godwit fly street --seed 7 --out out/street");
 }
 
@@ -108,7 +67,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   if (!check_run_arguments(a.run, &config)) return kExitRefused;
   const auto flight = make_flight(a.flight);
   if (!flight) return refuse(flight.error().message);
-  FlownCamera camera(*flight.value(), a.run);
+  FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks});
   if (camera.left() == 0)
     return refuse("--start " + std::to_string(a.run.start) + ": the flight has no more pictures than that");
   CameraRunPlan plan;
@@ -119,6 +78,14 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.sequential = a.run.sequential;
   plan.start = a.run.start;
   plan.total = camera.left();
+  plan.masks = camera.masks();
+  if (a.render_ahead) {
+    if (const auto drawn = camera.render_ahead(stop); !drawn) {
+      if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);
+      failed(drawn.error().message);
+      return kExitInterrupted;
+    }
+  }
   const int code = run_camera(&camera, calibration_of(*flight.value()), config, plan, stop);
   if (code != kExitDone) return code;
   if (const auto written = write_truth(*flight.value(), camera, a.run.out); !written)

@@ -12,6 +12,8 @@ namespace godwit::app {
 struct FlyArguments {
   FlightArguments flight;
   ReplayArguments run;  ///< its sequence is not used
+  bool truth_masks = false;
+  bool render_ahead = false;
 };
 
 /// Describes the command to the parser; *arguments outlives it.

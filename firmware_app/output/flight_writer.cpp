@@ -111,8 +111,7 @@ rt::Result<void> write_imu(const sim::Flight& flight, const std::string& out) {
   return write_text(out + "/mav0/imu0/sensor.yaml", yaml);
 }
 
-rt::Result<void> write_body_truth(const sim::Flight& flight, const std::string& out) {
-  std::string tum = "# timestamp tx ty tz qx qy qz qw   (pose of the body in the world, z up)\n";
+rt::Result<void> write_asl_truth(const sim::Flight& flight, const std::string& file) {
   std::string asl =
       "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m "
       "s^-1],v_RS_R_y [m s^-1],"
@@ -121,17 +120,32 @@ rt::Result<void> write_body_truth(const sim::Flight& flight, const std::string& 
     const sim::BodyState s = flight.trajectory().at(i / kTruthHz);
     const rt::TimeNs t = epoch_ns(kFlightEpochS + i / kTruthHz);
     const Eigen::Quaterniond q = Eigen::Quaterniond(s.R_world_body).normalized();
-    tum += seconds(t) + ' ' + pose_text(s.position_m, s.R_world_body) + '\n';
     asl += fmt::format("{},{:.6f},{:.6f},{:.6f},{:.9f},{:.9f},{:.9f},{:.9f},{:.6f},{:.6f},{:.6f}\n", t,
                        s.position_m.x(), s.position_m.y(), s.position_m.z(), q.w(), q.x(), q.y(), q.z(),
                        s.velocity_m_s.x(), s.velocity_m_s.y(), s.velocity_m_s.z());
   }
-  if (auto r = write_text(out + "/groundtruth_body.txt", tum); !r) return r;
-  return write_text(out + "/mav0/state_groundtruth_estimate0/data.csv", asl);
+  return write_text(file, asl);
 }
 
-rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out) {
-  if (const auto range = flight.rangefinder(epoch_ns(kFlightEpochS))) {
+rt::Result<void> write_imu_truth(const sim::Flight& flight, const std::string& file, double epoch_s) {
+  std::string text =
+      "t,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,true_gyro_x,true_gyro_y,true_gyro_z,true_accel_x,true_accel_y,"
+      "true_accel_z\n";
+  const auto imu = flight.imu(epoch_ns(epoch_s));
+  hal::ImuSample s;
+  const rt::TimeNs last = epoch_ns(epoch_s + flight.duration_s());
+  while (imu->next(&s, 0) == hal::ImuStatus::kSample && s.t_ns <= last) {
+    const auto &w = s.gyro_rad_s, &a = s.accel_m_s2;
+    const sim::Vec3 &tw = imu->truth().gyro_rad_s, &ta = imu->truth().accel_m_s2;
+    text += fmt::format("{},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f},{:.9f}\n",
+                        seconds(s.t_ns), w[0], w[1], w[2], a[0], a[1], a[2], tw.x(), tw.y(), tw.z(), ta.x(), ta.y(),
+                        ta.z());
+  }
+  return write_text(file, text);
+}
+
+rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out, double epoch_s) {
+  if (const auto range = flight.rangefinder(epoch_ns(epoch_s))) {
     std::string text = "t,range_m,valid,truth_m\n";
     hal::RangeSample s;
     while (range->next(&s, 0) == hal::RangeStatus::kSample) {
@@ -139,7 +153,7 @@ rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out) {
     }
     if (auto r = write_text(out + "/range.csv", text); !r) return r;
   }
-  if (const auto gnss = flight.gnss(epoch_ns(kFlightEpochS))) {
+  if (const auto gnss = flight.gnss(epoch_ns(epoch_s))) {
     std::string text = "t,fix,x,y,z,vx,vy,vz,sigma_m\n";
     hal::GnssSample s;
     while (gnss->next(&s, 0) == hal::GnssStatus::kSample) {
@@ -163,14 +177,25 @@ rt::Result<void> write_ground_truth(const sim::Flight& flight, const std::string
   return write_text(file, text);
 }
 
+rt::Result<void> write_sensors(const sim::Flight& flight, const std::string& out, double epoch_s) {
+  std::string body = "# timestamp tx ty tz qx qy qz qw   (pose of the body in the world, z up)\n";
+  for (int i = 0; i <= static_cast<int>(flight.duration_s() * kTruthHz); ++i) {
+    const sim::BodyState s = flight.trajectory().at(i / kTruthHz);
+    body += seconds(epoch_ns(epoch_s + i / kTruthHz)) + ' ' + pose_text(s.position_m, s.R_world_body) + '\n';
+  }
+  if (auto r = write_text(out + "/groundtruth_body.txt", body); !r) return r;
+  if (auto r = write_imu_truth(flight, out + "/imu.csv", epoch_s); !r) return r;
+  return write_aids(flight, out, epoch_s);
+}
+
 std::string boxes_head() {
   return "t,mover,kind,moving,x0,y0,x1,y1,visible_px\n";
 }
 
-std::string boxes_lines(const sim::SimCamera& camera, rt::TimeNs t_ns) {
+std::string boxes_lines(std::span<const sim::TrueBox> boxes, rt::TimeNs t_ns) {
   constexpr const char* kKinds[] = {"person", "car", "truck"};
   std::string text;
-  for (const sim::TrueBox& b : camera.scene().boxes()) {
+  for (const sim::TrueBox& b : boxes) {
     text += fmt::format("{},{},{},{},{:.1f},{:.1f},{:.1f},{:.1f},{}\n", seconds(t_ns), b.mover,
                         kKinds[static_cast<int>(b.kind)], b.moving ? 1 : 0, b.x0, b.y0, b.x1, b.y1, b.visible_px);
   }
@@ -229,7 +254,7 @@ rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWr
     if (!written) return rt::Error{file + ": cannot be written"};
     rgb += seconds(frame.t_capture_ns) + " mav0/cam0/data/" + name + '\n';
     asl += fmt::format("{},{}\n", frame.t_capture_ns, name);
-    boxes += boxes_lines(*camera, frame.t_capture_ns);
+    boxes += boxes_lines(camera->scene().boxes(), frame.t_capture_ns);
     ++done.pictures;
   }
   done.seconds = (last - options.start) / flight.scenario().camera.fps;
@@ -247,9 +272,10 @@ rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWr
     if (auto r = write_text(options.out + name, text); !r) return r.error();
   }
   if (auto r = write_imu(flight, options.out); !r) return r.error();
-  if (auto r = write_body_truth(flight, options.out); !r) return r.error();
+  if (auto r = write_asl_truth(flight, options.out + "/mav0/state_groundtruth_estimate0/data.csv"); !r)
+    return r.error();
   if (auto r = write_ground_truth(flight, options.out + "/groundtruth.txt", kFlightEpochS); !r) return r.error();
-  if (auto r = write_aids(flight, options.out); !r) return r.error();
+  if (auto r = write_sensors(flight, options.out, kFlightEpochS); !r) return r.error();
   if (auto r = write_text(index_file, rgb); !r) return r.error();
   return done;
 }

@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <span>
 #include <string>
 
 #include "hal/rt/result.h"
@@ -30,7 +31,7 @@ constexpr double kFlightEpochS = 1000;
 ///   mav0/cam0/data/NANOSECONDS.jpg, mav0/cam0/data.csv, mav0/cam0/sensor.yaml, mav0/imu0/data.csv,
 ///   mav0/imu0/sensor.yaml, mav0/state_groundtruth_estimate0/data.csv     EuRoC/ASL
 ///   rgb.txt (the same pictures), camera.yaml, groundtruth.txt (camera to world), groundtruth_body.txt, imu.txt    TUM
-///   boxes.csv (true boxes), range.csv, gnss.csv
+///   boxes.csv (true boxes), imu.csv (readings and truth), range.csv, gnss.csv
 /// rgb.txt comes last: a folder that has one is whole. Error: what could not be written and why. Ends early, with an
 /// error, when *stop becomes true.
 rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWriterOptions& options,
@@ -39,8 +40,13 @@ rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWr
 /// groundtruth.txt alone: the camera's true pose, 200 times a second. epoch_s is added to all times.
 rt::Result<void> write_ground_truth(const sim::Flight& flight, const std::string& file, double epoch_s);
 
-/// boxes.csv's first line, and the lines of the newest picture of a camera.
+/// Into the folder `out`: groundtruth_body.txt (pose of the body, 200 times a second), imu.csv (readings, and what an
+/// ideal sensor would have read), and range.csv and gnss.csv where the scenario has these sensors. epoch_s is added to
+/// all times.
+rt::Result<void> write_sensors(const sim::Flight& flight, const std::string& out, double epoch_s);
+
+/// boxes.csv's first line, and the lines of one picture.
 std::string boxes_head();
-std::string boxes_lines(const sim::SimCamera& camera, rt::TimeNs t_ns);
+std::string boxes_lines(std::span<const sim::TrueBox> boxes, rt::TimeNs t_ns);
 
 }  // namespace godwit::app

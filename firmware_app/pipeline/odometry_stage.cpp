@@ -24,9 +24,10 @@ constexpr int kFewestKeyframes = 8;
 
 class OdometryStage final : public FrameStage {
  public:
-  OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool)
+  OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool, MaskSource* masks)
       : camera_(camera),
         pool_(pool),
+        masks_(masks),
         tracker_return_(pool->reader(kTrackerReader)),
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
@@ -41,6 +42,7 @@ class OdometryStage final : public FrameStage {
     input.slot = frame.slot;
     input.sequence = frame.meta.sequence;
     input.t_capture_ns = frame.meta.t_capture_ns;
+    if (masks_ != nullptr) input.mask = masks_->mask_for(frame.meta);
     const vo::FrameResult result = tracker_->track(input);
     fill(result, record);
     vo::SlotRelease release;
@@ -99,6 +101,7 @@ class OdometryStage final : public FrameStage {
 
   const vo::CameraModel camera_;
   rt::FramePool* pool_;
+  MaskSource* masks_;  ///< null: nothing is masked
   rt::FrameReturn tracker_return_, mapper_return_;
   std::unique_ptr<vo::MapChannel> channel_;
   std::unique_ptr<vo::Tracker> tracker_;
@@ -135,8 +138,8 @@ int odometry_frame_slots_min() {
 }
 
 std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
-                                                rt::FramePool* pool) {
-  return std::make_unique<OdometryStage>(camera, options, pool);
+                                                rt::FramePool* pool, MaskSource* masks) {
+  return std::make_unique<OdometryStage>(camera, options, pool, masks);
 }
 
 }  // namespace godwit::app

@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "firmware_app/pipeline/mask_source.h"
 #include "firmware_app/pipeline/stage.h"
 #include "hal/camera/calibration.h"
 #include "hal/rt/result.h"
@@ -34,8 +35,9 @@ int odometry_frame_slots();
 /// Fewest slots with which it can fly: with less than it wants it keeps fewer keyframes.
 int odometry_frame_slots_min();
 
-/// All memory is taken here. The pool outlives the stage.
+/// All memory is taken here. The pool outlives the stage, and so does `masks`, which is asked for each frame's dynamic
+/// pixels; null: nothing is masked.
 std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
-                                                rt::FramePool* pool);
+                                                rt::FramePool* pool, MaskSource* masks = nullptr);
 
 }  // namespace godwit::app

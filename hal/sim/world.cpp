@@ -12,6 +12,7 @@ namespace godwit::sim {
 namespace {
 constexpr double kRad = std::numbers::pi / 180.0;
 constexpr double kNightAmbient = 0.05;
+constexpr int kShadeCells = 64;   // a side; a power of two
 constexpr int kLightCells = 512;  // the slowly varying part of the light on the ground is worked out on this grid
 
 double wrapped(double d) {
@@ -25,6 +26,7 @@ World::World(const WorldPlan& plan, std::uint64_t seed)
   sun_ = Vec3(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
   Canvas ground(kGroundTexels);
   Layout(this, &ground).build();
+  index_shades();
   light_ground(&ground);
   textures_ = make_materials(mix(seed, 0x7e87), ground, plan.night);
   for (const StaticObject& o : objects_) {
@@ -169,10 +171,34 @@ MoverState World::mover_at(int i, double t_s) const {
   return out;
 }
 
+void World::index_shades() {
+  shades_of_cell_.resize(static_cast<std::size_t>(kShadeCells * kShadeCells));
+  constexpr double cell = kWorldM / kShadeCells;
+  for (std::size_t n = 0; n < shades_.size(); ++n) {
+    const Shade& s = shades_[n];
+    const double rx = s.round ? s.half_along : std::abs(s.dx) * s.half_along + std::abs(s.dy) * s.half_across;
+    const double ry = s.round ? s.half_along : std::abs(s.dy) * s.half_along + std::abs(s.dx) * s.half_across;
+    const auto at = [](double v) { return static_cast<int>(std::floor(v / cell)); };
+    // Whole turns around the world would name a cell twice.
+    const int i1 = std::min(at(s.x + rx), at(s.x - rx) + kShadeCells - 1);
+    const int j1 = std::min(at(s.y + ry), at(s.y - ry) + kShadeCells - 1);
+    for (int j = at(s.y - ry); j <= j1; ++j) {
+      for (int i = at(s.x - rx); i <= i1; ++i) {
+        const int k = (j & (kShadeCells - 1)) * kShadeCells + (i & (kShadeCells - 1));
+        shades_of_cell_[static_cast<std::size_t>(k)].push_back(static_cast<std::uint32_t>(n));
+      }
+    }
+  }
+}
+
 double World::surface_height(double x, double y) const {
   const double ground = terrain_.height(x, y);
   double top = ground;
-  for (const Shade& s : shades_) {
+  const auto cell = [](double v) {
+    return static_cast<int>(std::floor(v * (kShadeCells / kWorldM))) & (kShadeCells - 1);
+  };
+  for (const std::uint32_t n : shades_of_cell_[static_cast<std::size_t>(cell(y) * kShadeCells + cell(x))]) {
+    const Shade& s = shades_[n];
     const double px = wrapped(x - s.x), py = wrapped(y - s.y);
     const double along = std::abs(px * s.dx + py * s.dy), across = std::abs(-px * s.dy + py * s.dx);
     const bool in =

@@ -93,6 +93,7 @@ class World {
   friend class Layout;
   double lamp_light(double x, double y) const;
   void light_ground(Canvas* ground) const;
+  void index_shades();
 
   WorldPlan plan_;
   std::uint64_t seed_;
@@ -109,6 +110,8 @@ class World {
     bool round;
   };
   std::vector<Shade> shades_;
+  /// For each cell of a grid over the world the shades that reach into it, so that a look below asks few of them.
+  std::vector<std::vector<std::uint32_t>> shades_of_cell_;
   std::vector<Vec2> lamps_;
 };
 

@@ -54,6 +54,51 @@ TEST_F(Fly, TwoSequentialFlightsAreEqualToTheBitAndBringTheTruth) {
   EXPECT_GT(content(folder_ / "a/boxes.csv").size(), 1000u);
 }
 
+TEST_F(Fly, PicturesRenderedAheadAreTheSame) {
+  arguments_.run.frames = 30;
+  ASSERT_EQ(run("live"), kExitDone);
+  arguments_.render_ahead = true;
+  ASSERT_EQ(run("ahead"), kExitDone);
+  EXPECT_EQ(content(folder_ / "live/trajectory.tum"), content(folder_ / "ahead/trajectory.tum"));
+  EXPECT_EQ(content(folder_ / "live/boxes.csv"), content(folder_ / "ahead/boxes.csv"));
+}
+
+TEST_F(Fly, TrueBoxesAsMasksReachTheOdometry) {
+  ASSERT_EQ(run("bare"), kExitDone);
+  arguments_.truth_masks = true;
+  ASSERT_EQ(run("masked"), kExitDone);
+  const std::string masked = content(folder_ / "masked/trajectory.tum");
+  EXPECT_GT(std::count(masked.begin(), masked.end(), '\n'), 10);
+  EXPECT_NE(content(folder_ / "bare/trajectory.tum"), masked);
+}
+
+TEST_F(Fly, OtherSensorsLieBesideTheFlight) {
+  arguments_.run.frames = 2;
+  ASSERT_EQ(run("a"), kExitDone);
+  const auto lines = [&](const char* name) {
+    const std::string text = content(folder_ / "a" / name);
+    return std::count(text.begin(), text.end(), '\n');
+  };
+  EXPECT_EQ(lines("imu.csv"), 60 * 200 + 2);
+  EXPECT_EQ(lines("groundtruth_body.txt"), 60 * 200 + 2);
+  EXPECT_GT(lines("range.csv"), 600);
+  EXPECT_GT(lines("gnss.csv"), 200);
+  // Readings stay near what an ideal sensor would have read: noise and start bias only.
+  std::ifstream imu(folder_ / "a/imu.csv");
+  std::string line;
+  std::getline(imu, line);
+  double t = 0, v[12] = {};
+  char comma = 0;
+  while (imu >> t) {
+    for (double& x : v) imu >> comma >> x;
+    for (int i = 0; i < 3; ++i) {
+      ASSERT_NEAR(v[i], v[6 + i], 0.02) << t;
+      ASSERT_NEAR(v[3 + i], v[9 + i], 0.5) << t;
+    }
+  }
+  EXPECT_NEAR(t, 60, 0.01);
+}
+
 TEST_F(Fly, RefusesWhatItCannotFly) {
   arguments_.flight.scenario = "stret";
   EXPECT_EQ(run("a"), kExitRefused);

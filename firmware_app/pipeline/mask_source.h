@@ -1,0 +1,18 @@
+// Where the dynamic pixels of a frame come from: the detector, or in a simulation the truth.
+#pragma once
+
+#include "hal/rt/frame_pool.h"
+#include "hal/rt/image.h"
+
+namespace godwit::app {
+
+/// Asked once for each frame, just before it is tracked.
+class MaskSource {
+ public:
+  virtual ~MaskSource() = default;
+  /// Tracker thread. The pixels of this frame that may move, at all levels of the pyramid (the paper, section 2.3.1);
+  /// levels == 0: nothing is known. Valid until the next call. No allocation, no lock, never waits, bounded.
+  virtual rt::MaskPyramidView mask_for(const rt::FrameMeta& frame) = 0;
+};
+
+}  // namespace godwit::app

@@ -1,0 +1,99 @@
+#include "firmware_app/sim/flown_camera.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <fstream>
+#include <thread>
+
+#include "firmware_app/output/flight_writer.h"
+#include "firmware_app/output/progress_bar.h"
+
+namespace godwit::app {
+namespace {
+
+/// Memory that the kernel thinks it can give without swapping [bytes]; 0 if it does not say.
+std::uint64_t available_memory() {
+  std::ifstream meminfo("/proc/meminfo");
+  std::string key, unit;
+  for (std::uint64_t kib = 0; meminfo >> key >> kib; std::getline(meminfo, unit)) {
+    if (key == "MemAvailable:") return kib * 1024;
+  }
+  return 0;
+}
+
+}  // namespace
+
+FlownCamera::FlownCamera(const sim::Flight& flight, const FlownCameraOptions& options)
+    : camera_(flight.camera(0)), real_pace_(options.real_pace) {
+  first_ = static_cast<int>(std::min<std::int64_t>(options.start, camera_->frames()));
+  left_ = camera_->frames() - first_;
+  if (options.frames > 0) left_ = static_cast<int>(std::min<std::int64_t>(options.frames, left_));
+  camera_->skip_to(first_);
+  if (options.truth_masks) masks_ = std::make_unique<TruthMasks>(width(), height());
+  boxes_ = boxes_head();
+}
+
+rt::Result<void> FlownCamera::render_ahead(const std::atomic<bool>& stop) {
+  const std::size_t bytes = static_cast<std::size_t>(width()) * static_cast<std::size_t>(height());
+  const std::uint64_t needed = bytes * static_cast<std::uint64_t>(left_), there = available_memory();
+  // A fifth is left to the run itself and to others.
+  if (there > 0 && needed > there / 5 * 4) {
+    return rt::Error{"--render-ahead: " + std::to_string(left_) + " pictures need " + std::to_string(needed >> 20) +
+                     " MB, and " + std::to_string(there >> 20) + " MB of memory are free; fly fewer with --frames"};
+  }
+  ahead_.resize(static_cast<std::size_t>(left_));
+  ProgressBar bar(left_);
+  for (std::size_t i = 0; i < ahead_.size(); ++i) {
+    if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted; nothing was written"};
+    Drawn& drawn = ahead_[i];
+    drawn.pixels = std::make_unique<std::uint8_t[]>(bytes);
+    draw({drawn.pixels.get(), width(), height(), width()}, &drawn);
+    bar.show(static_cast<std::int64_t>(i) + 1, "rendering");
+  }
+  return {};
+}
+
+void FlownCamera::draw(const rt::MutableImageView& grey, Drawn* drawn) {
+  drawn->status = camera_->next(grey, nullptr, 0, &drawn->frame, &drawn->why);
+  drawn->frame.sequence -= static_cast<std::uint32_t>(first_);
+  if (drawn->status == hal::CameraStatus::kFrame && grey.data != nullptr) drawn->boxes = camera_->scene().boxes();
+}
+
+void FlownCamera::fetch(const rt::MutableImageView& grey, Drawn* drawn) {
+  *drawn = std::move(ahead_[next_ahead_++]);
+  if (drawn->status != hal::CameraStatus::kFrame || grey.data == nullptr) return;
+  const auto row_bytes = static_cast<std::size_t>(width());
+  for (int y = 0; y < height(); ++y) {
+    std::memcpy(grey.row(y), drawn->pixels.get() + static_cast<std::size_t>(y) * row_bytes, row_bytes);
+  }
+}
+
+hal::CameraStatus FlownCamera::next(const rt::MutableImageView& grey, std::uint8_t* /*bgr*/, rt::TimeNs /*timeout_ns*/,
+                                    hal::CapturedFrame* frame, std::string* why) {
+  if (left_ == 0) return hal::CameraStatus::kEnd;
+  --left_;
+  Drawn drawn;
+  if (ahead_.empty()) {
+    draw(grey, &drawn);
+  } else {
+    fetch(grey, &drawn);
+  }
+  *frame = drawn.frame;
+  if (why != nullptr) *why = drawn.why;
+  if (drawn.status == hal::CameraStatus::kFrame && grey.data != nullptr) {
+    boxes_ += boxes_lines(drawn.boxes, frame->t_source_ns);
+    if (masks_ != nullptr) masks_->put(frame->sequence, drawn.boxes);
+  }
+  if (real_pace_) {
+    // The picture was drawn before its time; it is there when its exposure is over, on the clock that began with the
+    // first.
+    if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns() - frame->t_source_ns;
+    frame->t_capture_ns = start_ns_ + frame->t_source_ns;
+    const rt::TimeNs wait = frame->t_capture_ns - rt::monotonic_now_ns();
+    if (wait > 0) std::this_thread::sleep_for(std::chrono::nanoseconds(wait));
+  }
+  return drawn.status;
+}
+
+}  // namespace godwit::app
