@@ -1,7 +1,11 @@
 #include "hal/rt/alloc_hook.h"
 
+#include <atomic>
 #include <cerrno>
 #include <cstddef>
+#include <cstdlib>
+#include <cstring>
+#include <unistd.h>
 
 #include "hal/rt/rt_scope.h"
 
@@ -17,16 +21,34 @@ namespace godwit::rt {
 namespace {
 constinit thread_local HeapCounts counts;
 
+/// Set by the test's thread, read by every thread. Relaxed: it is set before the threads it is for are started.
+constinit std::atomic<bool> trapped{false};
+
+void offence(const char* words) {
+  if (!trapped.load(std::memory_order_relaxed)) return;
+  // write, not printf: the offender may hold whatever lock printf wants.
+  [[maybe_unused]] const auto ignored = write(STDERR_FILENO, words, std::strlen(words));
+  std::abort();
+}
+
 void note_allocation() {
-  if (in_rt_scope()) ++counts.allocations;
+  if (!in_rt_scope()) return;
+  ++counts.allocations;
+  offence("real-time trap: memory was allocated on a real-time thread\n");
 }
 void note_free() {
-  if (in_rt_scope()) ++counts.frees;
+  if (!in_rt_scope()) return;
+  ++counts.frees;
+  offence("real-time trap: memory was freed on a real-time thread\n");
 }
 }  // namespace
 
 HeapCounts rt_heap_counts() {
   return counts;
+}
+
+void trap_heap_use(bool on) {
+  trapped.store(on, std::memory_order_relaxed);
 }
 
 #ifdef GODWIT_SANITIZER_HEAP

@@ -23,4 +23,8 @@ struct HeapCounts {
 /// Of the calling thread. No allocation, no lock.
 HeapCounts rt_heap_counts();
 
+/// On: a heap operation inside an RtScope, on whichever thread, ends the process at once with words on the error
+/// stream, so that a debugger or core file shows the offender. Counts go on.
+void trap_heap_use(bool on);
+
 }  // namespace godwit::rt

@@ -69,5 +69,24 @@ TEST(AllocHook, CountsEveryWayToAllocateInsideAScopeOnly) {
   EXPECT_EQ(rt_heap_counts().frees - before.frees, 5u);
 }
 
+TEST(AllocHookDeathTest, TheTrapEndsADeliberateOffence) {
+  EXPECT_DEATH(
+      {
+        trap_heap_use(true);
+        sink = std::malloc(10);  // allowed: no scope
+        const RtScope scope;
+        sink = new int(3);
+      },
+      "memory was allocated on a real-time thread");
+  EXPECT_DEATH(
+      {
+        trap_heap_use(true);
+        sink = std::malloc(10);
+        const RtScope scope;
+        std::free(sink);
+      },
+      "memory was freed on a real-time thread");
+}
+
 }  // namespace
 }  // namespace godwit::rt
