@@ -120,16 +120,17 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame,
+                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, int wanted,
                                     FrameFeature* out) {
   ReprojectionResult result;
+  const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, frame, &result);
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
       std::uint16_t& head = cell_head_[cell_order_[i]];
       while (head != kEnd) {
-        if (result.matches >= options_.max_features || result.trials >= options_.max_trials) return result;
+        if (result.matches >= limit || result.trials >= options_.max_trials) return result;
         const Candidate& c = candidates_[head];
         head = c.next;
         ++result.trials;

@@ -34,10 +34,12 @@ class Reprojector {
  public:
   Reprojector(const CameraModel& camera, const ReprojectorOptions& options);
 
-  /// Finds map points in the frame. Writes the matches to out (kMaxFrameFeatures long). Updates found/missed of the
-  /// points. `frame` is the tracker's frame counter (marks points already projected).
+  /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
+  /// (kMaxFrameFeatures long). Updates found/missed of the points. `frame` is the tracker's frame counter (marks points
+  /// already projected).
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, FrameFeature* out);
+                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, int wanted,
+                         FrameFeature* out);
 
  private:
   struct Candidate {

@@ -379,8 +379,10 @@ bool Tracker::estimate(const FrameInput& in, Frame* frame, const SE3& T_cur_last
   // Velocity over the interval since the last frame: what the readout of this one sees.
   const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
   frame->velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
-  const ReprojectionResult r = reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world,
-                                                 frame->velocity, frame_counter_, found.data());
+  const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
+  const ReprojectionResult r =
+      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, frame_counter_,
+                        std::max(wanted, 2 * options_.min_measurements), found.data());
   result->matches = r.matches;
   result->candidates = r.candidates;
   t0 = now();

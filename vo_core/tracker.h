@@ -36,6 +36,9 @@ struct FrameInput {
   std::uint32_t sequence = 0;
   rt::TimeNs t_capture_ns = 0;
   RotationPrior rotation;  ///< rotation since the last frame, from an IMU
+  /// Of ReprojectorOptions::max_features, 0 to 1: fewer where time is short. Twice min_measurements are always looked
+  /// for.
+  double feature_share = 1.0;
 };
 
 struct FrameResult {

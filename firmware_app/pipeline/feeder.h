@@ -12,10 +12,14 @@ namespace godwit::app {
 /// The owner's side of the frame pool. One thread.
 class Feeder {
  public:
-  Feeder(hal::Camera* camera, rt::FramePool* pool) : camera_(camera), pool_(pool) {}
+  /// live: capture times are moments of this machine's clock, so a camera whose clock jumps is found out: a picture of
+  /// the future, of long ago, or from before the last one is not flown.
+  Feeder(hal::Camera* camera, rt::FramePool* pool, bool live) : camera_(camera), pool_(pool), live_(live) {
+    why_.reserve(256);
+  }
 
   enum class Outcome {
-    kFrame,    ///< *handle holds a frame with kFrameReaders references
+    kFrame,    ///< *handle holds a frame with a reference for each of the pool's readers
     kNoFrame,  ///< a picture was due and is not flown; *record says which and why
     kNothing,  ///< none came in time
     kEnd
@@ -26,8 +30,13 @@ class Feeder {
   Outcome read(int slot, rt::TimeNs timeout_ns, rt::FrameHandle* handle, FrameRecord* record);
 
  private:
+  /// What is wrong with this capture time; false: nothing. No allocation.
+  bool implausible(rt::TimeNs t_capture_ns, ShortText* why);
+
   hal::Camera* camera_;
   rt::FramePool* pool_;
+  const bool live_;
+  rt::TimeNs t_last_ns_ = 0;  ///< capture time of the newest picture that was flown
   std::string why_;
 };
 

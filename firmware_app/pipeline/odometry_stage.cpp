@@ -43,11 +43,14 @@ class OdometryStage final : public FrameStage {
     input.sequence = frame.meta.sequence;
     input.t_capture_ns = frame.meta.t_capture_ns;
     if (masks_ != nullptr) input.mask = masks_->mask_for(frame.meta);
+    input.feature_share = feature_share_;
     const vo::FrameResult result = tracker_->track(input);
     fill(result, record);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
+
+  void limit_features(double share) override { feature_share_ = share; }
 
   int mapper_backlog() const override { return kMessages - static_cast<int>(channel_->messages.free_items()); }
 
@@ -106,6 +109,7 @@ class OdometryStage final : public FrameStage {
   std::unique_ptr<vo::MapChannel> channel_;
   std::unique_ptr<vo::Tracker> tracker_;
   std::unique_ptr<vo::Mapper> mapper_;
+  double feature_share_ = 1.0;  ///< tracker's own
 };
 
 }  // namespace

@@ -28,26 +28,39 @@ void count(const FrameRecord& record, PipelineCounters* counters) {
 
 namespace {
 
-rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool, FrameTap* tap,
-                                            FrameSink* sink, const std::atomic<bool>& stop) {
-  Feeder feeder(camera, pool);
+rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
+                                            const PipelineOptions& options, FrameSink* sink,
+                                            const std::atomic<bool>& stop) {
+  Feeder feeder(camera, pool, false);
   PipelineCounters counters;
+  int since_detection = options.scheduler.period_frames;
   // Relaxed: the flag orders nothing, it only ends the loop.
   while (!stop.load(std::memory_order_relaxed)) {
     rt::FrameHandle handle;
     FrameRecord record;
-    const Feeder::Outcome outcome = feeder.read(pool->acquire(), rt::kNsPerSecond, &handle, &record);
+    const Feeder::Outcome outcome = feeder.read(pool->acquire(), kCameraWaitNs, &handle, &record);
     if (outcome == Feeder::Outcome::kEnd) break;
     if (outcome == Feeder::Outcome::kNothing) continue;
     if (outcome == Feeder::Outcome::kFrame) {
-      const rt::RtScope real_time;
-      track_frame(stage, handle, &record);
-      if (tap != nullptr) tap->frame_done(record);
-      const rt::TimeNs before = rt::thread_cpu_now_ns();
-      while (stage->map_step()) {
+      {
+        const rt::RtScope real_time;
+        track_frame(stage, handle, &record);
+        if (options.tap != nullptr) options.tap->frame_done(record);
+        const rt::TimeNs before = rt::thread_cpu_now_ns();
+        while (stage->map_step()) {
+        }
+        record.mapper_cpu_ns = rt::thread_cpu_now_ns() - before;
+        record.stage_ns[kMapStage] = record.mapper_cpu_ns;
       }
-      record.mapper_cpu_ns = rt::thread_cpu_now_ns() - before;
-      record.stage_ns[kMapStage] = record.mapper_cpu_ns;
+      if (options.detector != nullptr) {
+        // By count, not by time: two runs must be equal.
+        if (++since_detection >= options.scheduler.period_frames || record.is_keyframe) {
+          options.detector->detect({handle, handle.meta.t_capture_ns + options.scheduler.mask_age_ns,
+                                    options.scheduler.input_px, record.is_keyframe});
+          since_detection = 0;
+        }
+        pool->reader(kDetectorReader).give_back(handle.slot);
+      }
     }
     count(record, &counters);
     auto taken = sink->take(record);
@@ -74,8 +87,8 @@ void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* 
 rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                           const PipelineOptions& options, FrameSink* sink,
                                           const std::atomic<bool>& stop) {
-  assert(pool->layout().readers == kFrameReaders);
-  if (options.sequential) return run_sequential(camera, stage, pool, options.tap, sink, stop);
+  assert(pool->layout().readers == (options.detector != nullptr ? kFrameReadersWithDetector : kFrameReaders));
+  if (options.sequential) return run_sequential(camera, stage, pool, options, sink, stop);
   ThreadedPipeline pipeline(camera, stage, pool, options);
   return pipeline.run(sink, stop);
 }

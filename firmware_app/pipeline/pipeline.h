@@ -3,20 +3,32 @@
 
 #include <atomic>
 #include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
 
+#include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/stage.h"
+#include "firmware_app/scheduler/scheduler.h"
 #include "hal/camera/camera.h"
+#include "hal/machine/machine_state.h"
 #include "hal/rt/frame_pool.h"
+#include "hal/rt/log_ring.h"
+#include "hal/rt/memory.h"
 #include "hal/rt/result.h"
+#include "hal/rt/thread.h"
 
 namespace godwit::app {
 
-/// Takes the finished frames, in the order in which they were due. Called by the thread that runs the pipeline.
+/// Takes the finished frames, in the order in which they were due. Called by the thread that runs the pipeline, which
+/// may block: at real pace what it cannot take in time is lost and counted, and nothing else suffers.
 class FrameSink {
  public:
   virtual ~FrameSink() = default;
   /// Error: the run ends with it.
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
+  /// What a real-time thread had to say: changes of rung, a silent camera. The entry's text is static.
+  virtual void event(const rt::LogEntry& /*entry*/) {}
 };
 
 /// Hears of each frame at once, before files and logs do: what goes out to the autopilot starts here.
@@ -25,14 +37,36 @@ class FrameTap {
   virtual ~FrameTap() = default;
   /// A frame went through the tracker. Tracker thread, under its rules: no allocation, no lock, no wait.
   virtual void frame_done(const FrameRecord& record) = 0;
+  /// Real pace, the same thread and rules: no picture has been flown since the one captured at t_last_capture_ns (0:
+  /// there was none yet), for longer than kSilenceNs; again about ten times a second until one comes. There is no pose:
+  /// what was known then must not be sent as if it held.
+  virtual void no_picture(rt::TimeNs /*now_ns*/, rt::TimeNs /*t_last_capture_ns*/) {}
+};
+/// A camera that sends nothing for longer is called silent.
+constexpr rt::TimeNs kSilenceNs = 200 * rt::kNsPerMs;
+
+struct PipelineThreads {
+  rt::ThreadPlan camera, tracker, mapper, detector;
 };
 
 struct PipelineOptions {
   bool sequential = false;  ///< everything in the calling thread, in a fixed order
   /// Threads only. True (a camera, or a replay at real pace): the camera is never held up; the tracker takes the newest
-  /// frame and older ones are dropped. False (replay as fast as it goes): the feeder waits, nothing is dropped.
+  /// frame and older ones are dropped; the scheduler steers. False (replay as fast as it goes): the feeder waits,
+  /// nothing is dropped, nothing is shed.
   bool newest_frame = false;
-  FrameTap* tap = nullptr;  ///< may be null
+  FrameTap* tap = nullptr;            ///< may be null
+  DetectorStage* detector = nullptr;  ///< may be null; with one the pool has kFrameReadersWithDetector readers
+  PipelineThreads threads;            ///< threads only
+  SchedulerOptions scheduler;         ///< scheduler.detector is set by whether there is one
+  const hal::MachineMonitor* machine = nullptr;  ///< may be null; read once a second at real pace
+};
+
+/// How one thread fared.
+struct ThreadReport {
+  const char* name = "";
+  rt::PageFaults faults;       ///< from just before its first frame to its end
+  std::size_t stack_used = 0;  ///< bytes, deepest
 };
 
 struct PipelineCounters {
@@ -41,13 +75,22 @@ struct PipelineCounters {
   std::uint64_t bad = 0;        ///< see FrameFate
   std::uint64_t dropped_slots = 0;
   std::uint64_t dropped_late = 0;
+  // Threads only.
+  std::uint64_t records_lost = 0;  ///< finished frames that the sink was too slow to take
+  std::uint64_t events_lost = 0;   ///< the same of events
+  SchedulerCounters scheduler;     ///< real pace
+  Rung rung = Rung::kFull;         ///< at the end
+  std::vector<ThreadReport> threads;
+  std::vector<std::string> warnings;  ///< what the machine refused of the threads' plans
 };
 
-/// Runs until the camera is at its end, *stop becomes true or the sink fails. The pool has kFrameReaders readers.
+/// Runs until the camera is at its end, *stop becomes true or the sink fails. The pool has kFrameReaders readers, one
+/// more with a detector.
 ///
-/// Sequential: frame by frame read, track, map, hand to the sink. Threads: feeder -> ring -> tracker -> (the stage's
-/// own channel) -> mapper, records through rings to the calling thread. Between two frames threads sleep until there is
-/// work; inside a frame nobody waits for anybody. Error: the sink's.
+/// Sequential: frame by frame read, track, map, detect, hand to the sink. Threads: feeder -> ring -> tracker -> (the
+/// stage's own channel) -> mapper, tracker -> detector, records through rings to the calling thread. Between two frames
+/// threads sleep until there is work; inside a frame nobody waits for anybody. Error: the sink's, or a thread that
+/// could not be started.
 rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                           const PipelineOptions& options, FrameSink* sink,
                                           const std::atomic<bool>& stop);

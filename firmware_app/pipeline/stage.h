@@ -7,10 +7,12 @@
 namespace godwit::app {
 
 /// Frame slots have two references when they reach the stage: the tracker's and the mapper's. The stage gives both back
-/// through the readers below, each from its own thread.
+/// through the readers below, each from its own thread. With a detector there is a third, which the pipeline keeps.
 constexpr int kTrackerReader = 0;
 constexpr int kMapperReader = 1;
 constexpr int kFrameReaders = 2;
+constexpr int kDetectorReader = 2;
+constexpr int kFrameReadersWithDetector = 3;
 
 /// Tracker and mapper. Two threads may call it, each its own half, or one thread both.
 class FrameStage {
@@ -20,6 +22,9 @@ class FrameStage {
   /// Tracker thread. Estimates the frame's pose and fills everything of the record but sequence, times of the frame and
   /// mapper_cpu_ns. No allocation, no lock, bounded. Takes over both references.
   virtual void track(const rt::FrameHandle& frame, FrameRecord* record) = 0;
+  /// Tracker thread. From the next frame on this share of the features is enough; 1: all. A stage without features need
+  /// not care.
+  virtual void limit_features(double /*share*/) {}
   /// Tracker thread. Work sent to the mapper and not done yet, in messages.
   virtual int mapper_backlog() const = 0;
 

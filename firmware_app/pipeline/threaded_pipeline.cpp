@@ -1,8 +1,6 @@
 #include "firmware_app/pipeline/threaded_pipeline.h"
 
 #include <cassert>
-#include <pthread.h>
-#include <thread>
 
 #include "firmware_app/pipeline/feeder.h"
 #include "hal/rt/rt_scope.h"
@@ -13,6 +11,14 @@ namespace {
 constexpr rt::TimeNs kSleepNs = 100 * rt::kNsPerMs;
 /// How long the feeder of a replay waits for a slot before it drops the picture after all.
 constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
+/// How often the machine's temperature is looked at.
+constexpr rt::TimeNs kMachineNs = rt::kNsPerSecond;
+
+SchedulerOptions scheduler_options(const PipelineOptions& options) {
+  SchedulerOptions out = options.scheduler;
+  out.detector = options.detector != nullptr;
+  return out;
+}
 }  // namespace
 
 ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
@@ -20,18 +26,49 @@ ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::F
     : camera_(camera),
       stage_(stage),
       pool_(pool),
+      options_(options),
       newest_frame_(options.newest_frame),
-      tap_(options.tap),
-      fed_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()),
-      tracked_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()) {}
+      fed_(std::make_unique<rt::SpscRing<Fed, kRecordRing>>()),
+      tracked_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()),
+      events_(std::make_unique<rt::LogRing>()),
+      scheduler_(scheduler_options(options)) {}
+
+rt::Result<void> ThreadedPipeline::start() {
+  const PipelineThreads& plans = options_.threads;
+  if (options_.detector != nullptr) {
+    if (auto r = threads_[kDetector].start("gw-detector", plans.detector, [this] { detect(); }); !r) return r;
+  }
+  if (auto r = threads_[kMapper].start("gw-mapper", plans.mapper, [this] { map(); }); !r) return r;
+  if (auto r = threads_[kTracker].start("gw-tracker", plans.tracker, [this] { track(); }); !r) return r;
+  return threads_[kFeeder].start("gw-camera", plans.camera, [this] { feed(); });
+}
+
+void ThreadedPipeline::join(PipelineCounters* counters) {
+  constexpr const char* kNames[kThreads] = {"camera", "tracker", "mapper", "detector"};
+  for (std::size_t i = 0; i < kThreads; ++i) {
+    threads_[i].join();
+    if (threads_[i].stack_used() > 0) counters->threads.push_back({kNames[i], faults_[i], threads_[i].stack_used()});
+    if (!threads_[i].warning().empty()) counters->warnings.push_back(threads_[i].warning());
+  }
+  counters->records_lost = records_lost_.load(std::memory_order_relaxed);
+  counters->events_lost = events_->lost();
+  counters->scheduler = scheduler_.counters();
+  counters->rung = scheduler_.plan().rung;
+}
 
 rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::atomic<bool>& stop) {
-  std::thread mapper([this] { map(); });
-  std::thread tracker([this] { track(); });
-  std::thread feeder([this] { feed(); });
-
   PipelineCounters counters;
+  if (auto started = start(); !started) {
+    stop_.store(true, std::memory_order_relaxed);
+    // Whoever runs already waits for one that never will.
+    feeder_done_.store(true, std::memory_order_release);
+    tracker_done_.store(true, std::memory_order_release);
+    for (rt::WakeUp* wake : {&tracker_wake_, &mapper_wake_, &detector_wake_}) wake->post();
+    join(&counters);
+    return started.error();
+  }
   rt::Result<void> taken;
+  rt::TimeNs machine_due_ns = 0;
   while (true) {
     // Acquire, partner: the release store in track(). See tracker_done_.
     const bool all_done = tracker_done_.load(std::memory_order_acquire);
@@ -42,20 +79,24 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
       collected_.fetch_add(1, std::memory_order_relaxed);
       feeder_wake_.post();
     }
+    rt::LogEntry event;
+    while (events_->take(&event)) sink->event(event);
     if (all_done) break;
     if (!taken.ok() || stop.load(std::memory_order_relaxed)) stop_.store(true, std::memory_order_relaxed);
+    if (options_.machine != nullptr && newest_frame_ && rt::monotonic_now_ns() >= machine_due_ns) {
+      machine_.write(options_.machine->read());
+      machine_due_ns = rt::monotonic_now_ns() + kMachineNs;
+    }
     collector_wake_.wait_for(kSleepNs);
   }
-  feeder.join();
-  tracker.join();
-  mapper.join();
+  join(&counters);
   if (!taken.ok()) return taken.error();
   return counters;
 }
 
 bool ThreadedPipeline::feeder_may_read() const {
-  if (read_count_ - collected_.load(std::memory_order_relaxed) >= kRecordRing / 2) return false;
   if (newest_frame_) return true;
+  if (read_count_ - collected_.load(std::memory_order_relaxed) >= kRecordRing / 2) return false;
   return handed_count_ - tracked_count_.load(std::memory_order_relaxed) < 2 &&
          mapper_backlog_.load(std::memory_order_relaxed) <= kMapperBacklog;
 }
@@ -71,16 +112,19 @@ int ThreadedPipeline::acquire_patiently() {
   return pool_->acquire();
 }
 
-void ThreadedPipeline::finish(rt::SpscRing<FrameRecord, kRecordRing>* ring, const FrameRecord& record) {
-  const bool pushed = ring->try_push(record);
-  assert(pushed);  // see kRecordRing
-  static_cast<void>(pushed);
+template <typename Item>
+void ThreadedPipeline::finish(rt::SpscRing<Item, kRecordRing>* ring, const Item& item) {
+  const bool pushed = ring->try_push(item);
+  assert(pushed || newest_frame_);  // see kRecordRing
+  if (!pushed) records_lost_.fetch_add(1, std::memory_order_relaxed);
   collector_wake_.post();
 }
 
 void ThreadedPipeline::feed() {
-  pthread_setname_np(pthread_self(), "gw-feeder");
-  Feeder feeder(camera_, pool_);
+  Feeder feeder(camera_, pool_, newest_frame_);
+  const rt::PageFaults before = rt::thread_page_faults();
+  const std::optional<rt::RtScope> real_time =
+      camera_->real_time() ? std::optional<rt::RtScope>(std::in_place) : std::nullopt;
   while (!stop_.load(std::memory_order_relaxed)) {
     if (!feeder_may_read()) {
       feeder_wake_.wait_for(kSleepNs);
@@ -90,7 +134,7 @@ void ThreadedPipeline::feed() {
     const bool room = frames_.size() < kFrameRing;
     rt::FrameHandle handle;
     FrameRecord record;
-    const Feeder::Outcome outcome = feeder.read(room ? acquire_patiently() : -1, rt::kNsPerSecond, &handle, &record);
+    const Feeder::Outcome outcome = feeder.read(room ? acquire_patiently() : -1, kCameraWaitNs, &handle, &record);
     if (outcome == Feeder::Outcome::kEnd) break;
     if (outcome == Feeder::Outcome::kNothing) continue;
     ++read_count_;
@@ -99,7 +143,7 @@ void ThreadedPipeline::feed() {
         record.fate = FrameFate::kDroppedLate;
         record.reason.assign("the tracker was too many frames behind");
       }
-      finish(fed_.get(), record);
+      finish(fed_.get(), Fed{record, handed_count_});
       continue;
     }
     ++handed_count_;
@@ -108,12 +152,14 @@ void ThreadedPipeline::feed() {
     static_cast<void>(pushed);
     tracker_wake_.post();
   }
+  faults_[kFeeder] = rt::thread_page_faults() - before;
   // Release, partner: the acquire load in track(). See feeder_done_.
   feeder_done_.store(true, std::memory_order_release);
   tracker_wake_.post();
 }
 
-void ThreadedPipeline::take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return) {
+int ThreadedPipeline::take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return) {
+  int dropped = 0;
   rt::FrameHandle newer;
   for (std::size_t i = 0; i < kFrameRing && frames_.try_pop(&newer); ++i) {
     FrameRecord record;
@@ -122,53 +168,118 @@ void ThreadedPipeline::take_newest(rt::FrameHandle* handle, rt::FrameReturn* tra
     record.t_capture_ns = handle->meta.t_capture_ns;
     record.fate = FrameFate::kDroppedLate;
     record.reason.assign("a newer picture had come");
-    tracker_return->give_back(handle->slot, kFrameReaders);
+    tracker_return->give_back(handle->slot, pool_->layout().readers);
     finish(tracked_.get(), record);
+    finished_.store(++through_, std::memory_order_release);
     *handle = newer;
+    ++dropped;
   }
+  return dropped;
+}
+
+void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord& record, int dropped,
+                                rt::FrameReturn* tracker_return) {
+  DetectionEnd detection;
+  while (detections_.try_pop(&detection)) {
+    scheduler_.detection_done(detection.t_done_ns, detection.t_capture_ns, detection.failed);
+  }
+  hal::MachineState machine;
+  if (machine_.read(&machine)) scheduler_.machine(machine.temperature_c, machine.throttled);
+  if (newest_frame_) {
+    const auto change =
+        scheduler_.frame_done(record.t_done_ns, record.wall_ns, record.t_done_ns - record.t_capture_ns, dropped);
+    if (change) {
+      stage_->limit_features(scheduler_.plan().feature_share);
+      const bool down = change->to > change->from;
+      events_->say({change->t_ns, down ? rt::LogLevel::kWarning : rt::LogLevel::kInfo, down ? "rung down" : "rung up",
+                    rung_name(change->to), rung_reason_name(change->reason), change->value, change->limit});
+    }
+  }
+  if (options_.detector == nullptr) return;
+  if (scheduler_.detector_stuck() != detector_stuck_) {
+    detector_stuck_ = !detector_stuck_;
+    events_->say({record.t_done_ns, detector_stuck_ ? rt::LogLevel::kWarning : rt::LogLevel::kInfo,
+                  detector_stuck_ ? "detector hangs" : "detector is back", "", "age of the mask [s]",
+                  rt::to_seconds(scheduler_.mask_age_ns(record.t_done_ns)), 0});
+  }
+  const auto order = scheduler_.order(record.t_done_ns, record.is_keyframe);
+  if (order && jobs_.try_push({handle, order->deadline_ns, order->input_px, record.is_keyframe})) {
+    detector_wake_.post();
+  } else {
+    tracker_return->give_back(handle.slot);
+  }
+}
+
+void ThreadedPipeline::look_for_silence(rt::TimeNs now_ns) {
+  if (!newest_frame_ || now_ns - t_heard_ns_ < kSilenceNs) return;
+  if (!silent_) {
+    events_->say({now_ns, rt::LogLevel::kWarning, "no picture", "", "silent for [s]",
+                  rt::to_seconds(now_ns - t_heard_ns_), rt::to_seconds(kSilenceNs)});
+  }
+  silent_ = true;
+  if (options_.tap != nullptr) options_.tap->no_picture(now_ns, t_last_capture_ns_);
+}
+
+void ThreadedPipeline::note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns) {
+  if (silent_) {
+    events_->say(
+        {now_ns, rt::LogLevel::kInfo, "pictures again", "", "silent for [s]", rt::to_seconds(now_ns - t_heard_ns_), 0});
+  }
+  silent_ = false;
+  t_heard_ns_ = now_ns;
+  t_last_capture_ns_ = t_capture_ns;
+}
+
+void ThreadedPipeline::track_one(rt::FrameHandle handle, rt::FrameReturn* tracker_return) {
+  const int dropped = newest_frame_ ? take_newest(&handle, tracker_return) : 0;
+  FrameRecord record;
+  track_frame(stage_, handle, &record);
+  note_picture(record.t_done_ns, record.t_capture_ns);
+  if (options_.tap != nullptr) options_.tap->frame_done(record);
+  const rt::TimeNs mapper_cpu = mapper_cpu_ns_.load(std::memory_order_relaxed);
+  record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen_;
+  record.stage_ns[kMapStage] = record.mapper_cpu_ns;
+  mapper_cpu_seen_ = mapper_cpu;
+  finish(tracked_.get(), record);
+  // Release, partner: the acquire load in collect_one(). See finished_.
+  finished_.store(++through_, std::memory_order_release);
+  schedule(handle, record, dropped, tracker_return);
 }
 
 void ThreadedPipeline::track() {
-  pthread_setname_np(pthread_self(), "gw-tracker");
   rt::FrameReturn tracker_return = pool_->reader(kTrackerReader);
-  rt::TimeNs mapper_cpu_seen = 0;
-  std::uint64_t through = 0;
-  while (true) {
-    // Acquire, partner: the release store in feed(). See feeder_done_.
-    const bool last_look = feeder_done_.load(std::memory_order_acquire);
-    rt::FrameHandle handle;
-    if (!frames_.try_pop(&handle)) {
-      if (last_look) break;
-      tracker_wake_.wait_for(kSleepNs);
-      continue;
+  t_heard_ns_ = rt::monotonic_now_ns();
+  const rt::PageFaults before = rt::thread_page_faults();
+  {
+    const rt::RtScope real_time;
+    while (true) {
+      // Acquire, partner: the release store in feed(). See feeder_done_.
+      const bool last_look = feeder_done_.load(std::memory_order_acquire);
+      rt::FrameHandle handle;
+      if (!frames_.try_pop(&handle)) {
+        if (last_look) break;
+        tracker_wake_.wait_for(kSleepNs);
+        look_for_silence(rt::monotonic_now_ns());
+        continue;
+      }
+      track_one(handle, &tracker_return);
+      mapper_backlog_.store(stage_->mapper_backlog(), std::memory_order_relaxed);
+      tracked_count_.store(through_, std::memory_order_relaxed);
+      mapper_wake_.post();
+      feeder_wake_.post();
     }
-    {
-      const rt::RtScope real_time;
-      if (newest_frame_) take_newest(&handle, &tracker_return);
-      FrameRecord record;
-      track_frame(stage_, handle, &record);
-      if (tap_ != nullptr) tap_->frame_done(record);
-      const rt::TimeNs mapper_cpu = mapper_cpu_ns_.load(std::memory_order_relaxed);
-      record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen;
-      record.stage_ns[kMapStage] = record.mapper_cpu_ns;
-      mapper_cpu_seen = mapper_cpu;
-      finish(tracked_.get(), record);
-    }
-    mapper_backlog_.store(stage_->mapper_backlog(), std::memory_order_relaxed);
-    tracked_count_.store(++through, std::memory_order_relaxed);
-    mapper_wake_.post();
-    feeder_wake_.post();
   }
+  faults_[kTracker] = rt::thread_page_faults() - before;
   // Release, partners: the acquire loads in run() and map(). See tracker_done_.
   tracker_done_.store(true, std::memory_order_release);
-  mapper_wake_.post();
-  collector_wake_.post();
+  for (rt::WakeUp* wake : {&mapper_wake_, &detector_wake_, &collector_wake_}) wake->post();
 }
 
 void ThreadedPipeline::map() {
-  pthread_setname_np(pthread_self(), "gw-mapper");
+  const rt::PageFaults before = rt::thread_page_faults();
   // What is left when the tracker has ended helps nobody any more.
   while (!tracker_done_.load(std::memory_order_acquire)) {
+    const rt::RtScope real_time;
     if (stage_->map_step()) {
       mapper_cpu_ns_.store(rt::thread_cpu_now_ns(), std::memory_order_relaxed);
       // One message less; the tracker's next look corrects it. Never below zero: the tracker may have looked in
@@ -183,25 +294,46 @@ void ThreadedPipeline::map() {
       mapper_wake_.wait_for(kSleepNs);
     }
   }
+  faults_[kMapper] = rt::thread_page_faults() - before;
+}
+
+void ThreadedPipeline::detect() {
+  rt::FrameReturn detector_return = pool_->reader(kDetectorReader);
+  const rt::PageFaults before = rt::thread_page_faults();
+  while (!tracker_done_.load(std::memory_order_acquire)) {
+    DetectorJob job;
+    if (!jobs_.try_pop(&job)) {
+      detector_wake_.wait_for(kSleepNs);
+      continue;
+    }
+    const bool found = options_.detector->detect(job);
+    detector_return.give_back(job.frame.slot);
+    // Never full: the scheduler gives no second order before the first has come back.
+    const bool pushed = detections_.try_push({rt::monotonic_now_ns(), job.frame.meta.t_capture_ns, !found});
+    assert(pushed);
+    static_cast<void>(pushed);
+  }
+  faults_[kDetector] = rt::thread_page_faults() - before;
 }
 
 bool ThreadedPipeline::collect_one(FrameRecord* record, bool all_done) {
-  const FrameRecord* fed = fed_->front();
+  // Two ordered streams into one. A tracked frame never waits for the other stream: whatever the feeder put aside
+  // before it handed that frame over is visible by now. A picture put aside waits until the frames handed over before
+  // it are finished. Acquire, partner: the release stores in track_one() and take_newest(). Read before the rings: see
+  // finished_.
+  const std::uint64_t finished = finished_.load(std::memory_order_acquire);
   const FrameRecord* tracked = tracked_->front();
-  // Two ordered streams into one: the head that is next in line, and when nothing more can come, the older head.
-  const bool fed_next = fed != nullptr && fed->sequence == next_sequence_;
-  const bool tracked_next = tracked != nullptr && tracked->sequence == next_sequence_;
-  bool from_fed = fed_next;
-  if (!fed_next && !tracked_next) {
-    // A device may skip numbers: with both heads known, or all done, the older one cannot be overtaken any more.
-    const bool decided = (fed != nullptr && tracked != nullptr) || all_done;
-    if (!decided || (fed == nullptr && tracked == nullptr)) return false;
-    from_fed = tracked == nullptr || (fed != nullptr && fed->sequence < tracked->sequence);
+  const Fed* fed = fed_->front();
+  const bool fed_first = fed != nullptr && (tracked != nullptr ? fed->record.sequence < tracked->sequence
+                                                               : all_done || fed->handed_before <= finished);
+  if (fed_first) {
+    *record = fed->record;
+    fed_->drop_front();
+    return true;
   }
-  auto* ring = from_fed ? fed_.get() : tracked_.get();
-  *record = *ring->front();
-  ring->drop_front();
-  next_sequence_ = record->sequence + 1;
+  if (tracked == nullptr) return false;
+  *record = *tracked;
+  tracked_->drop_front();
   return true;
 }
 

@@ -1,14 +1,19 @@
-// The pipeline with a thread for each part: feeder, tracker, mapper; the caller's thread collects.
+// The pipeline with a thread for each part: feeder, tracker, mapper, detector; the caller's thread collects.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <memory>
 
 #include "firmware_app/pipeline/pipeline.h"
 #include "hal/rt/spsc_ring.h"
+#include "hal/rt/triple_buffer.h"
 #include "hal/rt/wake_up.h"
 
 namespace godwit::app {
+
+/// How long a camera may take to answer: the loops above it look at their stop flag that often.
+constexpr rt::TimeNs kCameraWaitNs = 100 * rt::kNsPerMs;
 
 /// Tracks one frame and fills in the record's times. Tracker thread, or the only one.
 void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* record);
@@ -24,32 +29,61 @@ class ThreadedPipeline {
  private:
   /// Frames between feeder and tracker. Small: a frame that waits here grows old.
   static constexpr std::size_t kFrameRing = 8;
-  /// Finished frames that the collector has not taken. The feeder stops at half of it, so that it never overflows:
-  /// beyond those counted no more than the frame ring and the frame in work can still come.
+  /// Finished frames that the collector has not taken. Replay as fast as it goes: the feeder stops at half of it, so
+  /// that it never overflows. Real pace: what finds it full is lost and counted.
   static constexpr std::size_t kRecordRing = 256;
   /// Replay as fast as it goes: the feeder waits while the tracker is so far ahead of the mapper, as it would not be in
   /// flight.
   static constexpr int kMapperBacklog = 2;
 
+  enum ThreadIndex : std::size_t { kFeeder, kTracker, kMapper, kDetector, kThreads };
+
+  /// A picture that was not flown, and how many frames had been handed to the tracker before it.
+  struct Fed {
+    FrameRecord record;
+    std::uint64_t handed_before = 0;
+  };
+  /// What the detector thread tells the tracker's.
+  struct DetectionEnd {
+    rt::TimeNs t_done_ns = 0;
+    rt::TimeNs t_capture_ns = 0;
+    bool failed = false;
+  };
+
+  rt::Result<void> start();
+  void join(PipelineCounters* counters);
   void feed();
   void track();
   void map();
+  void detect();
   bool feeder_may_read() const;
   int acquire_patiently();
-  void finish(rt::SpscRing<FrameRecord, kRecordRing>* ring, const FrameRecord& record);
+  template <typename Item>
+  void finish(rt::SpscRing<Item, kRecordRing>* ring, const Item& item);
   bool collect_one(FrameRecord* record, bool all_done);
-  void take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return);
+  int take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return);
+  void track_one(rt::FrameHandle handle, rt::FrameReturn* tracker_return);
+  void schedule(const rt::FrameHandle& handle, const FrameRecord& record, int dropped, rt::FrameReturn* tracker_return);
+  void look_for_silence(rt::TimeNs now_ns);
+  void note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns);
 
   hal::Camera* camera_;
   FrameStage* stage_;
   rt::FramePool* pool_;
+  const PipelineOptions options_;
   const bool newest_frame_;
-  FrameTap* const tap_;
 
   rt::SpscRing<rt::FrameHandle, kFrameRing> frames_;                 ///< feeder -> tracker
-  std::unique_ptr<rt::SpscRing<FrameRecord, kRecordRing>> fed_;      ///< feeder -> collector: pictures not flown
+  rt::SpscRing<DetectorJob, 2> jobs_;                                ///< tracker -> detector; one under way at a time
+  rt::SpscRing<DetectionEnd, 2> detections_;                         ///< detector -> tracker
+  rt::TripleBuffer<hal::MachineState> machine_;                      ///< collector -> tracker
+  std::unique_ptr<rt::SpscRing<Fed, kRecordRing>> fed_;              ///< feeder -> collector: pictures not flown
   std::unique_ptr<rt::SpscRing<FrameRecord, kRecordRing>> tracked_;  ///< tracker -> collector
-  rt::WakeUp feeder_wake_, tracker_wake_, mapper_wake_, collector_wake_;
+  std::unique_ptr<rt::LogRing> events_;                              ///< tracker -> collector
+  rt::WakeUp feeder_wake_, tracker_wake_, mapper_wake_, detector_wake_, collector_wake_;
+  std::array<rt::Thread, kThreads> threads_;
+  /// Each written by the thread it is about, read after that one was joined.
+  std::array<rt::PageFaults, kThreads> faults_{};
 
   /// Collector -> feeder: end early. Relaxed; nothing is ordered by it.
   std::atomic<bool> stop_{false};
@@ -61,15 +95,28 @@ class ThreadedPipeline {
   /// Pictures finished by the collector, for the feeder's back pressure. Relaxed; a late value makes the feeder wait
   /// longer, never shorter.
   std::atomic<std::uint64_t> collected_{0};
+  /// Tracker -> collector: frames whose records are in the ring, or lost. Release after the push, acquire before the
+  /// look: who sees n frames through also finds their records.
+  std::atomic<std::uint64_t> finished_{0};
+  /// Feeder and tracker -> collector: records that found their ring full. Relaxed; a counter.
+  std::atomic<std::uint64_t> records_lost_{0};
   /// Tracker -> feeder: frames it is through with, and the mapper's backlog as it last saw it. Relaxed, as above.
   std::atomic<std::uint64_t> tracked_count_{0};
   std::atomic<int> mapper_backlog_{0};
   /// Mapper -> tracker: processor time used by the mapper so far. Relaxed; a figure, nothing is ordered by it.
   std::atomic<rt::TimeNs> mapper_cpu_ns_{0};
 
-  std::uint64_t read_count_ = 0;     ///< feeder's own: pictures read
-  std::uint64_t handed_count_ = 0;   ///< feeder's own: frames given to the tracker
-  std::uint32_t next_sequence_ = 0;  ///< collector's own
+  // Feeder's own.
+  std::uint64_t read_count_ = 0;    ///< pictures read
+  std::uint64_t handed_count_ = 0;  ///< frames given to the tracker
+  // Tracker's own.
+  Scheduler scheduler_;
+  rt::TimeNs mapper_cpu_seen_ = 0;
+  std::uint64_t through_ = 0;
+  rt::TimeNs t_last_capture_ns_ = 0;  ///< of the newest picture flown
+  rt::TimeNs t_heard_ns_ = 0;         ///< when it came, or when the run began
+  bool silent_ = false;
+  bool detector_stuck_ = false;
 };
 
 }  // namespace godwit::app

@@ -32,6 +32,9 @@ class Camera {
   virtual int width() const = 0;
   virtual int height() const = 0;
   virtual int channels() const = 0;  ///< 1 grey, 3 BGR in the source
+  /// next() neither allocates nor locks and blocks only while it waits for a picture: the thread that calls it may be
+  /// held to the rules of the frame path. False where files are decoded or pictures rendered in next().
+  virtual bool real_time() const { return false; }
   /// Writes the next picture as grey into grey and, where the source has colour and bgr is not null, its BGR pixels
   /// (width * 3 bytes a row, no padding) into bgr. Waits at most timeout_ns. After kBadFrame `why` (if given) names the
   /// file and the reason.

@@ -9,7 +9,7 @@ namespace {
 
 TEST(LogRing, KeepsTheOrderAndCountsWhatItCannotTake) {
   const auto ring = std::make_unique<LogRing>();
-  for (int i = 0; i < 300; ++i) ring->say({i, LogLevel::kInfo, "step", "because", 1.5, 2.0});
+  for (int i = 0; i < 300; ++i) ring->say({i, LogLevel::kInfo, "step", "", "because", 1.5, 2.0});
   EXPECT_EQ(ring->lost(), 44u) << "the newest are refused: what led up to the trouble stays";
   LogEntry entry;
   for (int i = 0; i < 256; ++i) {
@@ -24,7 +24,7 @@ TEST(LogRing, OneThreadSaysAnotherTakes) {
   constexpr int kEntries = 100'000;
   const auto ring = std::make_unique<LogRing>();
   std::thread writer([&] {
-    for (int i = 0; i < kEntries; ++i) ring->say({i, LogLevel::kWarning, "step", "", static_cast<double>(i), 0});
+    for (int i = 0; i < kEntries; ++i) ring->say({i, LogLevel::kWarning, "step", "", "", static_cast<double>(i), 0});
   });
   int taken = 0;
   TimeNs last = -1;

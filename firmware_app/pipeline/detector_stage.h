@@ -1,0 +1,26 @@
+// The detector as the pipeline sees it: a picture now and then, on a thread of its own that may take its time.
+#pragma once
+
+#include "hal/rt/frame_pool.h"
+#include "hal/rt/time.h"
+
+namespace godwit::app {
+
+/// One picture to be looked at. The slot is held for the detector until detect() returns.
+struct DetectorJob {
+  rt::FrameHandle frame;
+  rt::TimeNs deadline_ns = 0;  ///< CLOCK_MONOTONIC; a mask that comes later is of little use
+  int input_px = 0;            ///< size of the network's input
+  bool is_keyframe = false;
+};
+
+class DetectorStage {
+ public:
+  virtual ~DetectorStage() = default;
+  /// Detector thread. Finds what may move in the job's picture and publishes the mask, with the job's capture time, to
+  /// whoever carries it into the tracker (an rt::TripleBuffer; nobody waits). May allocate, lock and take long. False:
+  /// there is no mask.
+  virtual bool detect(const DetectorJob& job) = 0;
+};
+
+}  // namespace godwit::app
