@@ -101,6 +101,13 @@ void ConfigReport::mistake(const std::string& key, const std::string& message) {
                      message);
 }
 
+void ConfigReport::sort() {
+  // The table keeps its keys sorted by name; mistakes are told in the order of the file, those without a line first.
+  std::stable_sort(mistakes.begin(), mistakes.end(), [&](const std::string& a, const std::string& b) {
+    return std::atol(a.c_str() + file.size() + 1) < std::atol(b.c_str() + file.size() + 1);
+  });
+}
+
 ConfigReport parse_config(std::string_view text, const std::string& name) {
   ConfigReport report;
   report.file = name;
@@ -112,10 +119,7 @@ ConfigReport parse_config(std::string_view text, const std::string& name) {
     return report;
   }
   check_contradictions(&report);
-  // The table keeps its keys sorted by name; mistakes are told in the order of the file, those without a line first.
-  std::stable_sort(report.mistakes.begin(), report.mistakes.end(), [&](const std::string& a, const std::string& b) {
-    return std::atol(a.c_str() + name.size() + 1) < std::atol(b.c_str() + name.size() + 1);
-  });
+  report.sort();
   return report;
 }
 

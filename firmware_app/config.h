@@ -1,10 +1,13 @@
 // The configuration: one TOML file into one struct that nobody changes afterwards.
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "hal/rt/thread.h"
 
 namespace godwit::app {
 
@@ -14,6 +17,28 @@ struct Config {
     int frame_slots = 0;          ///< 0: as many as the odometry needs
     int mapper_delay_frames = 2;  ///< --sequential: results of the mapper arrive so many frames later
   } pipeline;
+
+  struct Threads {
+    bool lock_memory = false;
+    rt::ThreadPlan camera, tracker, mapper;
+  } threads;
+
+  struct Scheduling {
+    double deadline_ms = 33.3;   ///< a pose that stands later after its capture is a slip
+    double tracker_p95_ms = 15;  ///< above: a rung of the ladder down
+    double temperature_c = 85;   ///< the same
+    double calm_s = 10;          ///< so long must all be well before a rung up
+  } scheduler;
+
+  /// Where godwitd's pictures come from; the tool's commands bring their own.
+  struct Camera {
+    enum class Source { kNone, kSim };
+    Source source = Source::kNone;
+    std::string scenario = "street";             ///< sim: name or file
+    std::string scenarios = "config/scenarios";  ///< sim: where names are looked up
+    std::uint64_t seed = 1;
+    int pictures = 150;  ///< sim: rendered ahead, flown forth and back
+  } camera;
 };
 
 /// A configuration, or everything that is wrong with it.
@@ -26,6 +51,8 @@ struct ConfigReport {
 
   /// Adds "file:line: key: message"; without the line where the file does not hold the key, which then has its default.
   void mistake(const std::string& key, const std::string& message);
+  /// Puts the mistakes into the order of the file.
+  void sort();
 };
 
 /// Pure function over text; collects all mistakes (unknown keys, wrong types, out of range, contradictions) instead of

@@ -25,6 +25,8 @@ namespace godwit::app {
 class FrameSink {
  public:
   virtual ~FrameSink() = default;
+  /// Threads: they run from here on. What the machine refused of their plans, in words, one a thread.
+  virtual void started(const std::vector<std::string>& /*refused*/) {}
   /// Error: the run ends with it.
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
   /// What a real-time thread had to say: changes of rung, a silent camera. The entry's text is static.
@@ -81,7 +83,6 @@ struct PipelineCounters {
   SchedulerCounters scheduler;     ///< real pace
   Rung rung = Rung::kFull;         ///< at the end
   std::vector<ThreadReport> threads;
-  std::vector<std::string> warnings;  ///< what the machine refused of the threads' plans
 };
 
 /// Runs until the camera is at its end, *stop becomes true or the sink fails. The pool has kFrameReaders readers, one

@@ -48,7 +48,6 @@ void ThreadedPipeline::join(PipelineCounters* counters) {
   for (std::size_t i = 0; i < kThreads; ++i) {
     threads_[i].join();
     if (threads_[i].stack_used() > 0) counters->threads.push_back({kNames[i], faults_[i], threads_[i].stack_used()});
-    if (!threads_[i].warning().empty()) counters->warnings.push_back(threads_[i].warning());
   }
   counters->records_lost = records_lost_.load(std::memory_order_relaxed);
   counters->events_lost = events_->lost();
@@ -67,6 +66,11 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
     join(&counters);
     return started.error();
   }
+  std::vector<std::string> refused;
+  for (const rt::Thread& thread : threads_) {
+    if (!thread.warning().empty()) refused.push_back(thread.warning());
+  }
+  sink->started(refused);
   rt::Result<void> taken;
   rt::TimeNs machine_due_ns = 0;
   while (true) {

@@ -43,7 +43,7 @@ TEST(Config, TellsAllMistakesAtOnceInTheOrderOfTheFile) {
   EXPECT_THAT(report.mistakes[2],
               HasSubstr("c.toml:4: pipeline.frame_slot: unknown key; did you mean pipeline.frame_slots?"));
   EXPECT_EQ(report.mistakes[3], "c.toml:5: pipeline.frame_slots: a whole number from 0 to 128 is allowed");
-  EXPECT_THAT(report.mistakes[4], HasSubstr("c.toml:6: aardvark: unknown section; allowed are [pipeline]"));
+  EXPECT_THAT(report.mistakes[4], HasSubstr("c.toml:6: aardvark: unknown section; allowed are [pipeline], [threads]"));
 }
 
 TEST(Config, WrongKindsOfValuesAreMistakes) {
@@ -65,6 +65,27 @@ TEST(Config, WhatIsNotTomlIsToldWithItsLine) {
 TEST(Config, AFileThatIsNotThereIsAMistake) {
   EXPECT_THAT(load_config("/nowhere/c.toml").mistakes, ElementsAre("/nowhere/c.toml: No such file or directory"));
   EXPECT_THAT(load_config("/").mistakes, SizeIs(1)) << "a folder is no file";
+}
+
+TEST(Config, ThreadsAndTheirContradictions) {
+  const ConfigReport good =
+      parse_config("[threads.tracker]\ncpus = [1, 0]\npriority = 50\n[threads.mapper]\npriority = 49\n", "c.toml");
+  ASSERT_TRUE(good.ok()) << good.mistakes[0];
+  EXPECT_EQ(good.config.threads.tracker.cpus, (std::vector<int>{1, 0}));
+  EXPECT_EQ(good.config.threads.mapper.priority, 49);
+  EXPECT_THAT(
+      parse_config("[threads.tracker]\npriority = 50\n[threads.mapper]\npriority = 50\n", "c.toml").mistakes,
+      ElementsAre(
+          "c.toml:4: threads.mapper.priority: tracking comes first, with threads.tracker.priority = 50; 0 to 49 "
+          "is allowed"));
+  EXPECT_THAT(parse_config("[threads.tracker]\npriority = 99\n", "c.toml").mistakes,
+              ElementsAre(HasSubstr("a whole number from 0 to 98")));
+}
+
+TEST(Config, TheSchedulersLimitsStandInOrder) {
+  EXPECT_THAT(parse_config("[scheduler]\ndeadline_ms = 10\n", "c.toml").mistakes,
+              ElementsAre(HasSubstr("c.toml: scheduler.tracker_p95_ms: 15 is not below scheduler.deadline_ms (10)")))
+      << "a key that the file does not hold has no line";
 }
 
 TEST(Config, AKeyInTheWrongSectionIsToldItsPlace) {

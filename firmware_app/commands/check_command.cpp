@@ -1,0 +1,40 @@
+#include "firmware_app/commands/check_command.h"
+
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <fmt/format.h>
+
+#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/daemon/config_check.h"
+
+namespace godwit::app {
+
+void add_check_command(CLI::App* app, CheckArguments* a) {
+  CLI::App* check =
+      app->add_subcommand("check", "Look over a configuration as godwitd would, and tell all that is wrong");
+  check->add_option("--config", a->config_file, "Configuration (TOML); config/godwit.toml lists every key")
+      ->type_name("FILE")
+      ->required();
+  check->add_flag("--show", a->show, "Also print every key with the value it would have");
+  check->footer(
+      "Exit codes: 0 godwitd would start with it; 2 it would not.\nExample: godwit check --config /etc/godwit.toml");
+}
+
+int run_check(const CheckArguments& a) {
+  ConfigReport report = load_config(a.config_file);
+  // What is out of range by itself has its default here, so the rest can be looked at as well.
+  if (!report.lines.empty() || report.ok()) check_for_daemon(&report);
+  for (const std::string& mistake : report.mistakes) fmt::print(stderr, "{}\n", mistake);
+  if (a.show) {
+    for (const std::string& line : show_config(report.config)) fmt::print("{}\n", line);
+  }
+  if (!report.ok()) {
+    fmt::print(stderr, "{}: {} mistake{}\n", a.config_file, report.mistakes.size(),
+               report.mistakes.size() == 1 ? "" : "s");
+    return kExitRefused;
+  }
+  fmt::print("{}: ok\n", a.config_file);
+  return kExitDone;
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,55 @@
+#include "firmware_app/daemon/config_check.h"
+
+#include <algorithm>
+#include <unistd.h>
+
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "hal/sim/scenario.h"
+
+namespace godwit::app {
+namespace {
+
+void check_cpus(const std::string& section, const rt::ThreadPlan& plan, ConfigReport* report) {
+  const auto cpus = static_cast<int>(sysconf(_SC_NPROCESSORS_CONF));
+  for (const int cpu : plan.cpus) {
+    if (cpu < cpus) continue;
+    report->mistake(section + ".cpus", "there is no processor " + std::to_string(cpu) + " on this machine; 0 to " +
+                                           std::to_string(cpus - 1) + " are allowed");
+  }
+}
+
+/// A scenario's own mistakes come one a line, each with file and line: they stand behind our key's.
+void check_scenario(ConfigReport* report) {
+  const Config::Camera& camera = report->config.camera;
+  if (camera.source != Config::Camera::Source::kSim) return;
+  const auto scenario = sim::find_scenario(camera.scenario, camera.scenarios);
+  if (scenario) return;
+  std::string why = scenario.error().message;
+  std::replace(why.begin(), why.end(), '\n', ';');
+  report->mistake("camera.scenario", why);
+}
+
+}  // namespace
+
+void check_on_this_machine(ConfigReport* report) {
+  const Config& c = report->config;
+  check_cpus("threads.camera", c.threads.camera, report);
+  check_cpus("threads.tracker", c.threads.tracker, report);
+  check_cpus("threads.mapper", c.threads.mapper, report);
+  const int slots = c.pipeline.frame_slots;
+  if (slots != 0 && slots < odometry_frame_slots_min()) {
+    report->mistake("pipeline.frame_slots", std::to_string(slots) + " are too few to fly with; 0 or at least " +
+                                                std::to_string(odometry_frame_slots_min()) + " are allowed");
+  }
+  check_scenario(report);
+  report->sort();
+}
+
+void check_for_daemon(ConfigReport* report) {
+  check_on_this_machine(report);
+  if (report->config.camera.source == Config::Camera::Source::kNone)
+    report->mistake("camera.source", "a daemon needs a camera; \"sim\" is allowed");
+  report->sort();
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,120 @@
+#include "firmware_app/daemon/daemon.h"
+
+#include <fmt/format.h>
+#include <memory>
+#include <string>
+
+#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/pipeline/arming.h"
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/sim/flight_calibration.h"
+#include "firmware_app/sources/looped_pictures.h"
+#include "hal/machine/machine_state.h"
+
+namespace godwit::app {
+namespace {
+
+void say(const std::string& line) {
+  fmt::print(stderr, "godwitd: {}\n", line);
+}
+
+int give_up(const std::string& line) {
+  say(line);
+  return kExitFailed;
+}
+
+/// Tells what changes; frame after frame is for the flight log.
+class Journal final : public FrameSink {
+ public:
+  explicit Journal(std::string memory_refused) : memory_refused_(std::move(memory_refused)) {}
+
+  void started(const std::vector<std::string>& refused) override {
+    const std::string warning = privilege_warning(memory_refused_, refused);
+    if (!warning.empty()) say("warning: " + warning);
+    say("armed");
+  }
+  rt::Result<void> take(const FrameRecord& record) override {
+    if (record.tracked) ++tracked_;
+    if (record.fate != FrameFate::kProcessed || state_ == record.state) return {};
+    state_ = record.state;
+    say(fmt::format("{} at frame {}: {}", state_, record.sequence, record.reason.view()));
+    return {};
+  }
+  void event(const rt::LogEntry& e) override {
+    say(fmt::format("{}{}{}: {} {:.4g}{}", e.what, e.which[0] != '\0' ? " to " : "", e.which, e.why, e.value,
+                    e.limit != 0 ? fmt::format(" (limit {:.4g})", e.limit) : ""));
+  }
+  std::uint64_t tracked() const { return tracked_; }
+
+ private:
+  const std::string memory_refused_;
+  std::string state_;
+  std::uint64_t tracked_ = 0;
+};
+
+/// The camera of the configuration, with its calibration.
+struct Source {
+  std::unique_ptr<sim::Flight> flight;
+  std::unique_ptr<hal::Camera> camera;
+  hal::CameraCalibration calibration;
+};
+
+rt::Result<Source> open_sim(const Config::Camera& config, const std::atomic<bool>& stop) {
+  const auto scenario = sim::find_scenario(config.scenario, config.scenarios);
+  if (!scenario) return scenario.error();
+  Source out;
+  out.flight = std::make_unique<sim::Flight>(scenario.value(), config.seed);
+  out.calibration = calibration_of(*out.flight);
+  const auto rendered = out.flight->camera(0);
+  LoopedPictures::Options options;
+  options.interval_ns = static_cast<rt::TimeNs>(1e9 / out.calibration.fps);
+  say(fmt::format("rendering {} pictures of {}, seed {}", config.pictures, config.scenario, config.seed));
+  auto camera = LoopedPictures::record(rendered.get(), config.pictures, options, stop);
+  if (!camera) return camera.error();
+  out.camera = std::move(camera).value();
+  return out;
+}
+
+void tell(const PipelineCounters& c, std::uint64_t tracked) {
+  say(fmt::format("{} frames, {} tracked, {} bad, {} dropped, {} late; {} rungs down, {} up, now {}", c.due, tracked,
+                  c.bad, c.dropped_slots + c.dropped_late, c.scheduler.slips, c.scheduler.steps_down,
+                  c.scheduler.steps_up, rung_name(c.rung)));
+  for (const ThreadReport& t : c.threads) {
+    say(fmt::format("thread {}: {} minor and {} major page faults, {} kB of stack", t.name, t.faults.minor,
+                    t.faults.major, t.stack_used / 1024));
+  }
+}
+
+}  // namespace
+
+int run_daemon(const Config& config, const std::atomic<bool>& stop) {
+  auto source = open_sim(config.camera, stop);
+  if (stop.load(std::memory_order_relaxed)) return kExitDone;
+  if (!source) return give_up(source.error().message);
+  const hal::CameraCalibration& calibration = source.value().calibration;
+  auto model = make_camera_model(calibration);
+  if (!model) return give_up(model.error().message);
+
+  rt::FramePool::Layout layout;
+  layout.width = calibration.width;
+  layout.height = calibration.height;
+  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
+  layout.slots = config.pipeline.frame_slots > 0 ? config.pipeline.frame_slots : odometry_frame_slots();
+  layout.readers = kFrameReaders;
+  auto pool = rt::FramePool::create(layout);
+  if (!pool) return give_up(pool.error().message);
+  const auto stage = make_odometry_stage(model.value(), odometry_options(calibration), pool.value().get());
+
+  const hal::MachineMonitor machine;
+  PipelineOptions options;
+  options.newest_frame = true;
+  options.machine = &machine;
+  plan_pipeline(config, calibration.fps, &options);
+  Journal journal(arm_memory(config));
+  const auto run = run_pipeline(source.value().camera.get(), stage.get(), pool.value().get(), options, &journal, stop);
+  if (!run) return give_up(run.error().message);
+  tell(run.value(), journal.tracked());
+  return kExitDone;
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,56 @@
+#include "firmware_app/sources/looped_pictures.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "hal/rt/wake_up.h"
+
+namespace godwit::app {
+
+rt::Result<std::unique_ptr<LoopedPictures>> LoopedPictures::record(hal::Camera* source, int pictures,
+                                                                   const Options& options,
+                                                                   const std::atomic<bool>& stop) {
+  std::unique_ptr<LoopedPictures> out(new LoopedPictures(source->width(), source->height(), options));
+  const std::size_t bytes = static_cast<std::size_t>(source->width()) * static_cast<std::size_t>(source->height());
+  out->pixels_.reserve(bytes * static_cast<std::size_t>(pictures));
+  hal::CameraStatus status = hal::CameraStatus::kFrame;
+  while (out->count_ < pictures && status != hal::CameraStatus::kEnd) {
+    if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted while the pictures were made"};
+    out->pixels_.resize(bytes * static_cast<std::size_t>(out->count_ + 1));
+    const rt::MutableImageView grey{out->pixels_.data() + bytes * static_cast<std::size_t>(out->count_),
+                                    source->width(), source->height(), source->width()};
+    hal::CapturedFrame frame;
+    status = source->next(grey, nullptr, rt::kNsPerSecond, &frame, nullptr);
+    if (status == hal::CameraStatus::kFrame) ++out->count_;
+  }
+  if (out->count_ < 2) {
+    return rt::Error{"the source has " + std::to_string(out->count_) + " pictures; a flight needs two at least"};
+  }
+  return out;
+}
+
+hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::uint8_t* /*bgr*/, rt::TimeNs timeout_ns,
+                                       hal::CapturedFrame* frame, std::string* /*why*/) {
+  if (options_.total > 0 && next_ >= options_.total) return hal::CameraStatus::kEnd;
+  if (start_ns_ == 0) start_ns_ = options_.real_pace ? rt::monotonic_now_ns() + options_.interval_ns : rt::kNsPerSecond;
+  const rt::TimeNs due = start_ns_ + next_ * options_.interval_ns;
+  if (options_.real_pace) {
+    const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
+    rt::sleep_until_ns(std::min(due, give_up));
+    if (due > give_up) return hal::CameraStatus::kTimeout;
+  }
+  // 0 1 2 3 2 1 0 1 ..
+  const std::int64_t period = 2 * (static_cast<std::int64_t>(count_) - 1);
+  const std::int64_t place = next_ % period;
+  const auto picture = static_cast<std::size_t>(place < count_ ? place : period - place);
+  frame->t_capture_ns = due;
+  frame->t_source_ns = due - start_ns_;
+  frame->sequence = static_cast<std::uint32_t>(next_++);
+  if (grey.data == nullptr) return hal::CameraStatus::kFrame;
+  const auto row_bytes = static_cast<std::size_t>(width_);
+  const std::uint8_t* from = pixels_.data() + picture * row_bytes * static_cast<std::size_t>(height_);
+  for (int y = 0; y < height_; ++y) std::memcpy(grey.row(y), from + static_cast<std::size_t>(y) * row_bytes, row_bytes);
+  return hal::CameraStatus::kFrame;
+}
+
+}  // namespace godwit::app

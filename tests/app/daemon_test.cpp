@@ -1,0 +1,188 @@
+// godwitd as a program: what it links, how it starts, how it ends. And `godwit check`, which looks over the same file.
+#include <algorithm>
+#include <array>
+#include <csignal>
+#include <cstdio>
+#include <fstream>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <string>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "hal/rt/time.h"
+#include "tests/support/temp_folder.h"
+
+namespace godwit::app {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+/// Runs a shell command; what it said on both streams, and its exit code.
+std::pair<std::string, int> run(const std::string& command) {
+  std::string said;
+  std::FILE* const pipe = popen((command + " 2>&1").c_str(), "r");
+  std::array<char, 4096> block{};
+  std::size_t n = 0;
+  while ((n = std::fread(block.data(), 1, block.size(), pipe)) > 0) said.append(block.data(), n);
+  const int status = pclose(pipe);
+  return {said, WIFEXITED(status) ? WEXITSTATUS(status) : -1};
+}
+
+const std::string kSmallFlight =
+    "[camera]\nsource = \"sim\"\nscenario = \"corridor\"\nscenarios = \"" GODWIT_SCENARIO_DIR "\"\npictures = 2\n";
+
+std::string write_config(const test::TempFolder& folder, const std::string& text) {
+  const std::string file = folder.path() / "godwit.toml";
+  std::ofstream(file) << text;
+  return file;
+}
+
+/// A running godwitd.
+class Daemon {
+ public:
+  explicit Daemon(const std::string& config) {
+    int ends[2] = {};
+    EXPECT_EQ(pipe(ends), 0);
+    pid_ = fork();
+    if (pid_ == 0) {
+      dup2(ends[1], STDERR_FILENO);
+      close(ends[0]);
+      execl(GODWIT_DAEMON, "godwitd", "--config", config.c_str(), nullptr);
+      _exit(127);
+    }
+    close(ends[1]);
+    said_ = fdopen(ends[0], "r");
+  }
+  ~Daemon() {
+    if (pid_ > 0) kill(pid_, SIGKILL), waitpid(pid_, nullptr, 0);
+    std::fclose(said_);
+  }
+  /// Reads on until a line holds this. False: it ended before.
+  bool says(const std::string& words) {
+    std::array<char, 4096> line{};
+    while (std::fgets(line.data(), line.size(), said_) != nullptr) {
+      all_ += line.data();
+      if (std::string(line.data()).find(words) != std::string::npos) return true;
+    }
+    return false;
+  }
+  /// Sends the signal and waits for the end. Exit code; how long it took.
+  int end(int signal, rt::TimeNs* took) {
+    const rt::TimeNs before = rt::monotonic_now_ns();
+    kill(pid_, signal);
+    int status = 0;
+    waitpid(pid_, &status, 0);
+    pid_ = -1;
+    *took = rt::monotonic_now_ns() - before;
+    says("\n\n");
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  const std::string& all() const { return all_; }
+
+ private:
+  pid_t pid_ = -1;
+  std::FILE* said_ = nullptr;
+  std::string all_;
+};
+
+TEST(Godwitd, DecodesNoPicturesAndOpensNoVideo) {
+  const auto [libraries, code] = run("ldd " GODWIT_DAEMON);
+  ASSERT_EQ(code, 0);
+  ASSERT_THAT(libraries, HasSubstr("libc.so")) << "ldd told the libraries at all";
+  for (const char* library : {"imgcodecs", "videoio", "highgui"}) EXPECT_THAT(libraries, Not(HasSubstr(library)));
+  ASSERT_THAT(run("ldd " GODWIT_TOOL).first, HasSubstr("imgcodecs")) << "and would be found if it were there";
+}
+
+TEST(Godwitd, SigtermEndsItCleanlyWithinHalfASecond) {
+  const test::TempFolder folder;
+  const std::string config = write_config(folder, kSmallFlight);
+  // The best of three: other programs may hold the processor while one of them ends.
+  rt::TimeNs best = 3600 * rt::kNsPerSecond;
+  for (int i = 0; i < 3; ++i) {
+    Daemon daemon(config);
+    ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+    rt::TimeNs took = 0;
+    EXPECT_EQ(daemon.end(i == 0 ? SIGINT : SIGTERM, &took), 0) << daemon.all();
+    EXPECT_THAT(daemon.all(), HasSubstr("frames, ")) << "the last words are the counts";
+    best = std::min(best, took);
+    if (best < 500 * rt::kNsPerMs) break;
+  }
+  RecordProperty("ms", std::to_string(best / rt::kNsPerMs));
+  EXPECT_LT(best, 500 * rt::kNsPerMs);
+}
+
+TEST(Godwitd, SigtermEndsItWhilePicturesAreRendered) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder,
+                             "[camera]\nsource = \"sim\"\nscenario = \"corridor\"\nscenarios = \"" GODWIT_SCENARIO_DIR
+                             "\"\npictures = 10000\n"));
+  ASSERT_TRUE(daemon.says("rendering"));
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+}
+
+TEST(Godwitd, WithoutPrivilegesOneWarningAndOnItFlies) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(
+      folder,
+      kSmallFlight +
+          "[threads]\nlock_memory = true\n[threads.tracker]\npriority = 50\n[threads.camera]\npriority = 60\n"));
+  ASSERT_TRUE(daemon.says("armed")) << daemon.all();
+  if (geteuid() == 0) {
+    EXPECT_THAT(daemon.all(), Not(HasSubstr("warning")));
+  } else {
+    EXPECT_THAT(daemon.all(), HasSubstr("warning: not real-time, flying on without: "));
+  }
+  ASSERT_TRUE(daemon.says("INITIALISING"));
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+}
+
+TEST(Godwitd, RefusesToStartWithAllThatIsWrong) {
+  const test::TempFolder folder;
+  const std::string config = write_config(folder, "[camera]\nsource = \"replay\"\npictures = 1\n");
+  const auto [said, code] = run(GODWIT_DAEMON " --config " + config);
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(said, HasSubstr(config + ":2: camera.source: \"none\" or \"sim\" is allowed"));
+  EXPECT_THAT(said, HasSubstr(config + ":3: camera.pictures: a whole number from 2 to 10000 is allowed"));
+  EXPECT_EQ(run(GODWIT_DAEMON).second, 2) << "without a configuration it does not guess one";
+  const auto [none, none_code] = run(GODWIT_DAEMON " --config " + write_config(folder, ""));
+  EXPECT_EQ(none_code, 2);
+  EXPECT_THAT(none, HasSubstr("camera.source: a daemon needs a camera; \"sim\" is allowed"));
+}
+
+TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {
+  const test::TempFolder folder;
+  const std::string config = write_config(folder,
+                                          "[threads.tracker]\ncpus = [0, 1000]\n"
+                                          "[scheduler]\ncalm_s = \"long\"\n"
+                                          "[camera]\nsource = \"sim\"\nscenarios = \"" GODWIT_SCENARIO_DIR
+                                          "\"\nscenario = \"nowhere\"\n"
+                                          "[pipeline]\nframe_slots = 3\n"
+                                          "[nosuch]\nx = 1\n");
+  const auto [said, code] = run(GODWIT_TOOL " check --config " + config);
+  EXPECT_EQ(code, 2);
+  std::size_t at = 0;
+  for (const char* line :
+       {":2: threads.tracker.cpus: there is no processor 1000", ":4: scheduler.calm_s: a number",
+        ":8: camera.scenario: no scenario 'nowhere'; there are: ", ":10: pipeline.frame_slots: 3 are too few",
+        ":11: nosuch: unknown section", ": 5 mistakes"}) {
+    const std::size_t found = said.find(config + line, at);
+    ASSERT_NE(found, std::string::npos) << line << " in:\n" << said;
+    at = found;
+  }
+}
+
+TEST(GodwitCheck, SaysOkAndShowsEveryKey) {
+  const test::TempFolder folder;
+  const auto [said, code] = run(GODWIT_TOOL " check --show --config " + write_config(folder, kSmallFlight));
+  EXPECT_EQ(code, 0);
+  EXPECT_THAT(said, HasSubstr("camera.pictures = 2\n"));
+  EXPECT_THAT(said, HasSubstr("scheduler.deadline_ms = 33.3\n"));
+  EXPECT_THAT(said, HasSubstr(": ok\n"));
+}
+
+}  // namespace
+}  // namespace godwit::app
