@@ -7,6 +7,8 @@ namespace godwit::vo {
 
 struct KeyframeSelectorOptions {
   double min_distance = 0.10;           ///< distance to the nearest keyframe over the scene's median depth
+  int young_keyframes = 6;              ///< a map with fewer keyframes is still bent: it asks for the next one
+  double young_distance = 0.05;         ///< after this distance already
   double min_angle_rad = 0.26;          ///< or turned by this against the nearest keyframe
   int min_frames = 2;                   ///< frames between two keyframes
   int min_frames_on_drop = 4;           ///< more of them when the reason is a lack of features: seeds need time
@@ -17,6 +19,7 @@ struct KeyframeSelectorOptions {
 };
 
 struct KeyframeFigures {
+  int keyframes = 0;  ///< in the map
   int frames_since_last = 0;
   int features = 0;                ///< inliers of this frame
   int last_keyframe_features = 0;  ///< inliers of the last keyframe when it was made
@@ -30,7 +33,8 @@ enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDrop
 
 inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const KeyframeFigures& f) {
   if (f.frames_since_last < o.min_frames) return KeyframeReason::kNone;
-  if (f.nearest_distance > o.min_distance) return KeyframeReason::kMoved;
+  if (f.nearest_distance > (f.keyframes < o.young_keyframes ? o.young_distance : o.min_distance))
+    return KeyframeReason::kMoved;
   if (f.nearest_angle_rad > o.min_angle_rad) return KeyframeReason::kTurned;
   const bool dropped = f.features < o.low_features || f.features < o.feature_drop * f.last_keyframe_features;
   if (dropped && f.frames_since_last >= o.min_frames_on_drop &&

@@ -65,9 +65,9 @@ struct MapPoint {
   std::uint16_t generation = 0;
   bool active = false;
   std::uint8_t observation_count = 0;
-  std::uint16_t found = 0;       ///< frames in which the tracker aligned it
-  std::uint16_t missed = 0;      ///< frames in which it should have been seen and was not
-  std::uint32_t last_frame = 0;  ///< tracker: frame counter of the last projection (a visited mark)
+  std::uint16_t found = 0;      ///< frames in which the tracker aligned it
+  std::uint16_t missed = 0;     ///< frames in which it should have been seen and was not
+  std::uint32_t last_mark = 0;  ///< tracker: the last projection that looked at it (a visited mark)
   std::array<Observation, kMaxPointObservations> observations;
 };
 

@@ -10,6 +10,7 @@ namespace godwit::vo {
 
 Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& options)
     : camera_(camera), options_(options) {
+  options_.max_trials = std::min(options_.max_trials, kMaxTrials);
   // Larger cells where the picture would have more cells than there is room for.
   do {
     columns_ = (camera.width() + options_.cell_px - 1) / options_.cell_px;
@@ -28,7 +29,7 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
 }
 
 void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
-                          std::uint32_t frame, ReprojectionResult* result) {
+                          std::uint32_t mark, ReprojectionResult* result) {
   const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
   const Vec3 axis = T_cam_world.R.row(2);
   // Keyframes that look the same way, nearest first.
@@ -54,8 +55,8 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
     for (int f = 0; f < kf.feature_count && candidate_count_ < kMaxCandidates; ++f) {
       const PointHandle h = kf.features[f].point;
       MapPoint* p = map->find(h);
-      if (!p || p->last_frame == frame) continue;
-      p->last_frame = frame;
+      if (!p || p->last_mark == mark) continue;
+      p->last_mark = mark;
       Vec2 px;
       const Vec3 p_cam = T_cam_world * p->p_world;
       if (options_.shutter.readout_s > 0.0) {
@@ -120,11 +121,12 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, int wanted,
+                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t mark, int wanted,
                                     FrameFeature* out) {
   ReprojectionResult result;
   const int limit = std::min(wanted, options_.max_features);
-  collect(map, mask, T_cam_world, velocity, frame, &result);
+  collect(map, mask, T_cam_world, velocity, mark, &result);
+  trial_count_ = 0;
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
@@ -134,17 +136,24 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
         const Candidate& c = candidates_[head];
         head = c.next;
         ++result.trials;
-        MapPoint& p = map->point(c.point.index);
-        if (try_match(map, c, pyramid, T_cam_world, out + result.matches)) {
-          if (p.found < 0xffff) ++p.found;
+        Trial& trial = trials_[trial_count_++];
+        trial = {c.point.index, try_match(map, c, pyramid, T_cam_world, out + result.matches)};
+        if (trial.found) {
           ++result.matches;
           break;
         }
-        if (p.missed < 0xffff) ++p.missed;
       }
     }
   }
   return result;
+}
+
+void Reprojector::keep_score(Map* map) const {
+  for (int i = 0; i < trial_count_; ++i) {
+    MapPoint& p = map->point(trials_[i].point);
+    std::uint16_t& count = trials_[i].found ? p.found : p.missed;
+    if (count < 0xffff) ++count;
+  }
 }
 
 }  // namespace godwit::vo

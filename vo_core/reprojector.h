@@ -16,7 +16,7 @@ namespace godwit::vo {
 struct ReprojectorOptions {
   int cell_px = 28;
   int max_features = 170;
-  int max_trials = 360;
+  int max_trials = 360;  ///< at most 512
   int max_keyframes = 12;
   int max_level = 3;
   RollingShutter shutter;
@@ -35,11 +35,14 @@ class Reprojector {
   Reprojector(const CameraModel& camera, const ReprojectorOptions& options);
 
   /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
-  /// (kMaxFrameFeatures long). Updates found/missed of the points. `frame` is the tracker's frame counter (marks points
-  /// already projected).
+  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected).
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t frame, int wanted,
+                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t mark, int wanted,
                          FrameFeature* out);
+
+  /// Writes found and missed of the last run into the points. Only for a run whose pose stood: a black picture or a
+  /// wrong guess says nothing about the points.
+  void keep_score(Map* map) const;
 
  private:
   struct Candidate {
@@ -50,10 +53,11 @@ class Reprojector {
   };
   static constexpr int kMaxCandidates = 2400;
   static constexpr int kMaxCells = 4096;
+  static constexpr int kMaxTrials = 512;
   static constexpr std::uint16_t kEnd = 0xffff;
 
   void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
-               std::uint32_t frame, ReprojectionResult* result);
+               std::uint32_t mark, ReprojectionResult* result);
   bool try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
                  FrameFeature* out);
 
@@ -61,6 +65,12 @@ class Reprojector {
   ReprojectorOptions options_;
   int columns_, rows_;
   int candidate_count_ = 0;
+  struct Trial {
+    std::uint16_t point;
+    bool found;
+  };
+  int trial_count_ = 0;
+  std::array<Trial, kMaxTrials> trials_;
   std::array<Candidate, kMaxCandidates> candidates_;
   std::array<std::uint16_t, kMaxCells> cell_head_;
   std::array<std::uint16_t, kMaxCells> cell_order_;

@@ -9,18 +9,16 @@
 #include "hal/rt/image.h"
 #include "hal/rt/time.h"
 #include "vo_core/camera_model.h"
+#include "vo_core/health.h"
 #include "vo_core/initializer.h"
 #include "vo_core/keyframe_selector.h"
 #include "vo_core/map_channel.h"
 #include "vo_core/pose_optimizer.h"
+#include "vo_core/relocaliser.h"
 #include "vo_core/reprojector.h"
 #include "vo_core/sparse_image_align.h"
 
 namespace godwit::vo {
-
-/// DESIGN.md: INITIALISING -> TRACKING <-> COASTING -> RELOCALISING -> LOST.
-enum class State : std::uint8_t { kInitialising, kTracking, kCoasting, kRelocalising, kLost };
-const char* state_name(State s);
 
 /// Time of each stage of one tracking call [ns]; zero where the stage did not run or no clock was given.
 struct StageTimes {
@@ -48,6 +46,7 @@ struct FrameResult {
   std::uint32_t map_id = 0;        ///< counts from 1; 0 when there is no map
   int measurements = 0;            ///< inliers of the pose optimisation
   int matches = 0;                 ///< aligned points
+  int trials = 0;                  ///< alignments tried
   int candidates = 0;              ///< map points projected into the picture
   SE3 T_world_cam;                 ///< valid when tracked
   Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world, map units and rad
@@ -68,9 +67,26 @@ struct TrackerOptions {
   PoseOptimizerOptions pose;
   KeyframeSelectorOptions keyframe;
   RollingShutter shutter;
-  int min_measurements = 30;
-  int delta_delay_frames = 0;  ///< sequential runs: a delta is applied so many frames after the message that caused it
-  int lost_frames_reset = 45;  ///< frames without a pose after which a new map is begun
+  RelocaliserOptions relocaliser;
+  HealthOptions health;
+  /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
+  /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
+  double min_found_share = 0.10;
+  /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose must be
+  /// promising, and a following frame tracked from it convincing, before it counts.
+  rt::TimeNs direct_gap_ns = 150 * rt::kNsPerMs;
+  rt::TimeNs last_frame_gap_ns = rt::kNsPerSecond;  ///< older last frames are not aligned with any more
+  struct Gate {
+    int measurements;
+    double inlier_share;  ///< of the matches
+    double found_share;   ///< of the alignments tried
+    double rms_px;
+  };
+  Gate promising{30, 0.5, 0.15, 2.2};  ///< the shutter's velocity is not known yet
+  Gate convincing{40, 0.6, 0.30, 1.5};
+  int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
+  int unproved_frames = 5;      ///< so many frames may pass until one convinces
+  int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
   rt::TimeNs (*clock)() = nullptr;  ///< for stage times only; nothing depends on it
 };
 
@@ -97,16 +113,26 @@ class Tracker {
     bool holds_mapper_reference = false;
     rt::PyramidView pyramid;
     SE3 T_cam_world;
-    Vec6 velocity = Vec6::Zero();
+    Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
     std::uint32_t sequence = 0;
+    std::uint32_t counter = 0;  ///< the tracker's own count
     rt::TimeNs t_capture_ns = 0;
   };
 
   void begin_map();
   void apply_deltas(FrameResult* result);
   void apply(const MapDelta& d);
-  void initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
-  bool estimate(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
+  /// True: this frame began the map.
+  bool initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
+  FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
+  bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
+  bool align_with_keyframe(Frame* frame, FrameResult* result);
+  bool measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result);
+  static bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
+  bool find_by_keyframe(const FrameInput& in, Frame* frame, FrameResult* result);
+  void adopt_features();
+  void take_pose(bool proved, Frame* frame, FrameResult* result);
+  bool same_picture(const rt::ImageView& grey);
   void consider_keyframe(Frame* frame, FrameResult* result);
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
   int insert_keyframe(const Frame& frame, std::uint32_t id);
@@ -123,21 +149,26 @@ class Tracker {
   Initializer initializer_;
   std::unique_ptr<SparseImageAlign> align_;
   std::unique_ptr<Reprojector> reprojector_;
+  std::unique_ptr<Relocaliser> relocaliser_;
+  Health health_;
 
-  State state_ = State::kInitialising;
   std::uint32_t epoch_ = 0;
   std::uint32_t map_id_ = 0;
   std::uint32_t frame_counter_ = 0;
   std::uint32_t next_keyframe_id_ = 1;
-  int lost_frames_ = 0;
   bool reset_pending_ = true;
 
-  Frame first_;        ///< first view of the initialisation
-  Frame last_;         ///< last frame with a pose
-  SE3 T_last_before_;  ///< motion last_ <- the one before it: constant-velocity prediction
-  bool have_velocity_ = false;
+  Frame first_;                 ///< first view of the initialisation
+  Frame last_;                  ///< last frame with a pose
+  bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
+  int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
+  int relocalise_attempt_ = 0;
+  std::uint32_t reprojection_mark_ = 0;
+  std::uint64_t picture_hash_ = 0;
+  bool have_picture_hash_ = false;
   std::array<FrameFeature, kMaxFrameFeatures> features_, features_scratch_;
   int feature_count_ = 0;
+  int match_count_ = 0;  ///< of the last measure(), in features_scratch_ and measurements_
   std::array<PoseMeasurement, kMaxFrameFeatures> measurements_;
   std::array<AlignPoint, kMaxFrameFeatures> align_points_;
 

@@ -72,7 +72,7 @@ Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mas
     if (order[i] >= 0) {
       std::memcpy(data, pictures()[static_cast<std::size_t>(order[i])].view().data, base);
     } else {
-      std::memset(data, 0, base);
+      std::memset(data, static_cast<int>(i % 3), base);  // black, but not the very same picture each time
     }
     references[static_cast<std::size_t>(slot)] = 2;
     FrameInput in;
@@ -179,12 +179,42 @@ TEST(Odometry, BlackFramesAreNotTrackedAndTheViewIsFoundAgain) {
 
 TEST(Odometry, AfterTooLongWithoutAPoseANewMapBegins) {
   std::vector<int> order = forward(30);
-  for (int i = 0; i < TrackerOptions{}.lost_frames_reset + 2; ++i) order.push_back(-1);
+  for (int i = 0; i < TrackerOptions{}.health.give_up_ns / 33'333'333 + 4; ++i) order.push_back(-1);
   for (int i = 0; i < 30; ++i) order.push_back(i);
   const Flown run = run_odometry(order);
   ASSERT_TRUE(run.frames[29].tracked);
   ASSERT_TRUE(run.frames.back().tracked);
   EXPECT_EQ(run.frames.back().map_id, run.frames[29].map_id + 1);
+}
+
+TEST(Odometry, AFrozenPictureGivesNoPoseAndTheNextOneDoes) {
+  std::vector<int> order = forward(40);
+  for (int i = 0; i < 20; ++i) order.push_back(39);
+  order.push_back(40);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[39].tracked);
+  for (std::size_t i = 40; i < 60; ++i) {
+    EXPECT_FALSE(run.frames[i].tracked) << i;
+    EXPECT_STREQ(run.frames[i].reason, "the picture is the one before, bit for bit");
+  }
+  // 0.7 s later: near enough to be found, long enough ago to need a second look.
+  EXPECT_EQ(run.frames[60].map_id, run.frames[39].map_id);
+}
+
+TEST(Odometry, AViewFarFromTheLastOneIsFoundByItsKeyframeAndConfirmed) {
+  std::vector<int> order = forward(60);
+  for (int i = 0; i < 20; ++i) order.push_back(-1);
+  for (int i = 10; i < 20; ++i) order.push_back(i);  // back at the beginning
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[59].tracked);
+  std::size_t back = 80;
+  while (back < run.frames.size() && !run.frames[back].tracked) ++back;
+  ASSERT_LT(back, 88u) << "not found within eight frames";
+  EXPECT_GT(back, 80u) << "one frame must confirm it";
+  EXPECT_EQ(run.frames[back].map_id, run.frames[59].map_id);
+  // The same picture was flown before: the pose must be that one again.
+  const auto before = static_cast<std::size_t>(order[back]);
+  EXPECT_LT((run.frames[back].T_world_cam.t - run.frames[before].T_world_cam.t).norm(), 0.03);
 }
 
 TEST(Odometry, AMaskOverEverythingMeansNoPose) {

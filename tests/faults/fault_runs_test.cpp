@@ -1,0 +1,168 @@
+// Faults in the pictures of tum_fr1_xyz at five places: does it come back, in the same map, and is what it says true?
+#include <cstdio>
+#include <gtest/gtest.h>
+
+#include "tests/faults/fault_run.h"
+
+namespace godwit::test {
+namespace {
+
+constexpr int kBefore = 150, kAfter = 60;
+constexpr int kWithinFrames = 30;  ///< 1 s
+constexpr double kAteBar = 0.015;  ///< of the sequence as it is [m]
+constexpr double kWrongMetres = 0.05, kWrongDegrees = 3.0;
+constexpr std::array<int, 5> kPlaces = {180, 290, 400, 510, 620};
+
+enum class Fault { kRemoved, kBlack, kForeign };
+constexpr const char* kFaultNames[] = {"removed", "black", "foreign"};
+
+/// Counts over all runs of one test.
+struct Tally {
+  int runs = 0, back = 0;
+  int tracked = 0, wrong = 0;
+  int blind_tracked_late = 0;  ///< black or foreign frames that counted as tracked after the first five
+  double worst_return_m = 0;
+};
+
+/// The middle 640x480 of another scene.
+std::vector<Pixels> foreign_pictures(const Recording& other, int width, int height) {
+  std::vector<Pixels> out;
+  const int ow = other.calibration.width, oh = other.calibration.height;
+  const int x0 = (ow - width) / 2, y0 = (oh - height) / 2;
+  for (const Pixels& p : other.pictures) {
+    Pixels cut(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+    for (int y = 0; y < height; ++y)
+      std::memcpy(cut.data() + static_cast<std::ptrdiff_t>(y) * width,
+                  p.data() + static_cast<std::ptrdiff_t>(y + y0) * ow + x0, static_cast<std::size_t>(width));
+    out.push_back(std::move(cut));
+  }
+  return out;
+}
+
+void add_run(const Recording& recording, const std::vector<Shown>& shown, std::size_t fault, std::size_t back,
+             const char* name, Tally* tally) {
+  const auto records = fly(recording.calibration, shown);
+  ASSERT_EQ(records.size(), shown.size());
+  std::uint32_t map_id = 0;
+  for (std::size_t i = 0; i < fault; ++i)
+    if (records[i].tracked) map_id = records[i].map_id;
+  ASSERT_NE(map_id, 0u) << name << ": no map before the fault";
+  const auto e = errors(recording, shown, records, map_id, [&](std::size_t i) { return i < fault; });
+  int blind = 0, wrong = 0, tracked = 0, late = 0;
+  std::size_t returned = records.size();
+  double sum = 0;
+  int n = 0;
+  double worst_m = 0, worst_deg = 0;
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    if (!records[i].tracked) continue;
+    ++tracked;
+    if (shown[i].truth_index < 0) {
+      ++wrong;
+      if (i >= fault + 5) ++late;
+      ++blind;
+      continue;
+    }
+    if (!e[i].known) continue;
+    worst_m = std::max(worst_m, e[i].metres);
+    worst_deg = std::max(worst_deg, e[i].degrees);
+    if (e[i].metres > kWrongMetres || e[i].degrees > kWrongDegrees) {
+      ++wrong;
+      std::printf("  %s: frame %zu is %.3f m and %.2f deg off, %d features, map %u\n", name, i, e[i].metres,
+                  e[i].degrees, records[i].features, records[i].map_id);
+    }
+    if (i >= back) {
+      returned = std::min(returned, i);
+      sum += e[i].metres * e[i].metres;
+      ++n;
+    }
+  }
+  const double rms = n > 0 ? std::sqrt(sum / n) : 1e9;
+  const bool ok = returned < back + kWithinFrames && records[returned].map_id == map_id && rms <= 2 * kAteBar;
+  std::printf("%-22s back after %4d frames, then %.4f m rms; tracked %3d, wrong %d (worst %.3f m %.2f deg), blind %d\n",
+              name, returned < records.size() ? static_cast<int>(returned - back) : -1, n > 0 ? rms : -1.0, tracked,
+              wrong, worst_m, worst_deg, blind);
+  ++tally->runs;
+  tally->back += ok;
+  tally->tracked += tracked;
+  tally->wrong += wrong;
+  tally->blind_tracked_late += late;
+}
+
+class FaultRuns : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto fr1 = sequence_folder("tum_fr1_xyz"), mh01 = sequence_folder("euroc_mh01");
+    if (!fr1 || !mh01) {
+      const char* ci = std::getenv("CI");
+      if (ci != nullptr && std::string(ci) == "true") FAIL() << "the recorded sequences are not there";
+      GTEST_SKIP() << "the recorded sequences are not there";
+    }
+    fr1_ = *fr1;
+    mh01_ = *mh01;
+  }
+  std::string fr1_, mh01_;
+};
+
+/// One place, one length, all three faults.
+void all_faults(const Recording& recording, const std::vector<Pixels>& foreign, const Pixels& black, int length,
+                int place, Tally* tally) {
+  for (const Fault fault : {Fault::kRemoved, Fault::kBlack, Fault::kForeign}) {
+    std::vector<Shown> shown;
+    std::size_t back = 0;
+    for (int i = 0; i < static_cast<int>(recording.pictures.size()); ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      Shown s{&recording.pictures[k], recording.times[k], i};
+      if (i >= kBefore && i < kBefore + length) {
+        if (fault == Fault::kRemoved) continue;
+        s.pixels = fault == Fault::kBlack ? &black : &foreign[static_cast<std::size_t>(i - kBefore) % foreign.size()];
+        s.truth_index = -1;
+      }
+      if (i == kBefore + length) back = shown.size();
+      shown.push_back(s);
+    }
+    char name[64];
+    std::snprintf(name, sizeof(name), "%s %d at %d", kFaultNames[static_cast<int>(fault)], length, place);
+    add_run(recording, shown, kBefore, back, name, tally);
+  }
+}
+
+TEST_F(FaultRuns, OneAndThreeSecondsRemovedBlackenedOrReplacedAtFivePlaces) {
+  Tally tally;
+  const Recording other = Recording::load(mh01_, 100, 90);
+  for (const int place : kPlaces) {
+    const Recording recording = Recording::load(fr1_, place - kBefore, kBefore + 90 + kAfter);
+    const auto foreign = foreign_pictures(other, recording.calibration.width, recording.calibration.height);
+    const Pixels black(recording.pictures[0].size(), 0);
+    all_faults(recording, foreign, black, 90, place, &tally);
+    Recording shorter = recording;
+    shorter.pictures.resize(kBefore + 30 + kAfter);
+    shorter.times.resize(kBefore + 30 + kAfter);
+    all_faults(shorter, foreign, black, 30, place, &tally);
+  }
+  std::printf("%d of %d back; %d of %d tracked frames wrong; %d blind ones after the fifth\n", tally.back, tally.runs,
+              tally.wrong, tally.tracked, tally.blind_tracked_late);
+  EXPECT_EQ(tally.runs, 30);
+  EXPECT_GE(tally.back, 27);
+  EXPECT_EQ(tally.wrong, 0);
+  EXPECT_EQ(tally.blind_tracked_late, 0);
+}
+
+TEST_F(FaultRuns, TheStartIsFoundAgainAfterTheEnd) {
+  const Recording recording = Recording::load(fr1_, 0, 0);
+  std::vector<Shown> shown;
+  const int n = static_cast<int>(recording.pictures.size());
+  for (int i = 0; i < n; ++i)
+    shown.push_back(
+        {&recording.pictures[static_cast<std::size_t>(i)], recording.times[static_cast<std::size_t>(i)], i});
+  const rt::TimeNs shift = recording.times.back() + 2 * rt::kNsPerSecond - recording.times.front();
+  for (int i = 0; i < 60; ++i)
+    shown.push_back(
+        {&recording.pictures[static_cast<std::size_t>(i)], recording.times[static_cast<std::size_t>(i)] + shift, i});
+  Tally tally;
+  add_run(recording, shown, static_cast<std::size_t>(n), static_cast<std::size_t>(n), "return to the start", &tally);
+  EXPECT_EQ(tally.back, 1);
+  EXPECT_EQ(tally.wrong, 0);
+}
+
+}  // namespace
+}  // namespace godwit::test

@@ -1,0 +1,105 @@
+// The states of the odometry, driven by made-up evidence.
+#include "vo_core/health.h"
+
+#include <gtest/gtest.h>
+#include <string>
+
+namespace godwit::vo {
+namespace {
+
+using Kind = FrameEvidence::Kind;
+constexpr rt::TimeNs kFrame = 33 * rt::kNsPerMs;
+
+class HealthTest : public testing::Test {
+ protected:
+  State step(Kind kind, int measurements = 0, bool inertial = false, rt::TimeNs dt = kFrame) {
+    now_ += dt;
+    return health_.step({kind, measurements, inertial, now_});
+  }
+  void begin() {
+    step(Kind::kNoMap);
+    step(Kind::kFirstMap, 120);
+  }
+  HealthOptions options_;
+  Health health_{options_};
+  rt::TimeNs now_ = rt::kNsPerSecond;
+};
+
+TEST_F(HealthTest, InitialisesUntilThereIsAMap) {
+  EXPECT_EQ(step(Kind::kNoMap), State::kInitialising);
+  EXPECT_EQ(step(Kind::kSamePicture), State::kInitialising);
+  EXPECT_EQ(step(Kind::kNoMap, 0, false, 3600 * rt::kNsPerSecond), State::kInitialising) << "no time limit";
+  EXPECT_EQ(step(Kind::kFirstMap, 90), State::kTracking);
+  EXPECT_EQ(health_.reason().value, 90);
+}
+
+TEST_F(HealthTest, ALostPictureIsToldWithFigureAndLimitInTheSameFrame) {
+  begin();
+  EXPECT_EQ(step(Kind::kNoPose, 12), State::kRelocalising);
+  EXPECT_EQ(std::string(health_.reason().text), "too few features");
+  EXPECT_EQ(health_.reason().value, 12);
+  EXPECT_EQ(health_.reason().limit, 30);
+  EXPECT_EQ(step(Kind::kPose, 60), State::kTracking);
+  EXPECT_EQ(health_.without_pose_ns(), 0);
+}
+
+TEST_F(HealthTest, AFoundPoseCountsOnlyWhenConfirmed) {
+  begin();
+  step(Kind::kNoPose);
+  EXPECT_EQ(step(Kind::kUnproved, 80), State::kRelocalising);
+  EXPECT_EQ(step(Kind::kPose, 80), State::kTracking);
+}
+
+TEST_F(HealthTest, CoastsOnInertialPosesForAShortTimeOnly) {
+  begin();
+  rt::TimeNs coasted = 0;
+  while (step(Kind::kNoPose, 0, true) == State::kCoasting) coasted += kFrame;
+  EXPECT_EQ(health_.state(), State::kRelocalising);
+  EXPECT_GT(coasted, options_.coast_ns - kFrame);
+  EXPECT_LE(coasted, options_.coast_ns + kFrame);
+  EXPECT_EQ(step(Kind::kNoPose, 0, true), State::kRelocalising) << "never back into coasting without a picture's pose";
+  EXPECT_EQ(step(Kind::kPose, 50), State::kTracking);
+  EXPECT_EQ(step(Kind::kNoPose, 0, true), State::kCoasting);
+  EXPECT_EQ(step(Kind::kNoPose, 0, false), State::kRelocalising) << "the inertial pose is gone";
+}
+
+TEST_F(HealthTest, GivesUpOnceAndTellsHowLongItSearched) {
+  begin();
+  int given_up = 0, frames = 0;
+  while (given_up == 0 && frames < 1000) {
+    ++frames;
+    step(Kind::kNoPose, 3);
+    given_up += health_.give_up();
+  }
+  EXPECT_EQ(health_.state(), State::kLost);
+  EXPECT_GE((frames - 1) * kFrame, options_.give_up_ns);
+  EXPECT_LE((frames - 2) * kFrame, options_.give_up_ns);
+  EXPECT_GE(health_.reason().value, health_.reason().limit);
+  EXPECT_EQ(step(Kind::kNoMap), State::kLost) << "until another map stands";
+  EXPECT_FALSE(health_.give_up());
+  EXPECT_EQ(step(Kind::kSamePicture), State::kLost);
+  EXPECT_EQ(step(Kind::kFirstMap, 70), State::kTracking);
+}
+
+TEST_F(HealthTest, AGapInTimeAloneGivesNothingUp) {
+  begin();
+  EXPECT_EQ(step(Kind::kNoPose, 0, false, 60 * rt::kNsPerSecond), State::kRelocalising)
+      << "the search begins with the first picture after the gap";
+  EXPECT_FALSE(health_.give_up());
+}
+
+TEST_F(HealthTest, ATimeThatGoesBackIsNoTimePassed) {
+  begin();
+  step(Kind::kNoPose);
+  for (int i = 0; i < 100; ++i) step(Kind::kNoPose, 0, false, -10 * rt::kNsPerSecond);
+  EXPECT_EQ(health_.state(), State::kRelocalising);
+}
+
+TEST_F(HealthTest, AFrozenPictureIsNoPose) {
+  begin();
+  EXPECT_EQ(step(Kind::kSamePicture), State::kRelocalising);
+  EXPECT_EQ(step(Kind::kPose, 100), State::kTracking);
+}
+
+}  // namespace
+}  // namespace godwit::vo

@@ -1,0 +1,75 @@
+#include "vo_core/health.h"
+
+#include <algorithm>
+
+namespace godwit::vo {
+
+const char* state_name(State s) {
+  switch (s) {
+    case State::kInitialising:
+      return "INITIALISING";
+    case State::kTracking:
+      return "TRACKING";
+    case State::kCoasting:
+      return "COASTING";
+    case State::kRelocalising:
+      return "RELOCALISING";
+    case State::kLost:
+      return "LOST";
+  }
+  return "?";
+}
+
+State Health::step(const FrameEvidence& e) {
+  give_up_ = false;
+  switch (e.kind) {
+    case FrameEvidence::Kind::kNoMap:
+      // INITIALISING or LOST: stays so. The caller knows best what the initialisation lacks.
+      reason_ = {"no map yet", e.measurements, options_.min_measurements};
+      break;
+    case FrameEvidence::Kind::kFirstMap:
+    case FrameEvidence::Kind::kPose:
+      state_ = State::kTracking;
+      reason_ = {e.kind == FrameEvidence::Kind::kPose ? "tracking" : "first map", e.measurements,
+                 options_.min_measurements};
+      counting_ = false;
+      without_pose_ns_ = 0;
+      break;
+    case FrameEvidence::Kind::kUnproved:
+      without_pose(e, {"found in the map, to be confirmed", e.measurements, options_.min_measurements});
+      break;
+    case FrameEvidence::Kind::kNoPose:
+      without_pose(e, {"too few features", e.measurements, options_.min_measurements});
+      break;
+    case FrameEvidence::Kind::kSamePicture:
+      if (state_ == State::kInitialising || state_ == State::kLost) {
+        reason_ = {"the picture is the one before, bit for bit", 0, 0};
+      } else {
+        without_pose(e, {"the picture is the one before, bit for bit", 0, 0});
+      }
+      break;
+  }
+  return state_;
+}
+
+void Health::without_pose(const FrameEvidence& e, const Reason& why) {
+  if (!counting_) t_first_without_ns_ = e.t_capture_ns;
+  counting_ = true;
+  without_pose_ns_ = std::max(without_pose_ns_, e.t_capture_ns - t_first_without_ns_);
+  reason_ = why;
+  if (without_pose_ns_ >= options_.give_up_ns) {
+    state_ = State::kLost;
+    reason_ = {"not found in the map for too long, a new one begins [ms]",
+               static_cast<int>(without_pose_ns_ / rt::kNsPerMs), static_cast<int>(options_.give_up_ns / rt::kNsPerMs)};
+    give_up_ = true;
+    counting_ = false;
+    without_pose_ns_ = 0;
+  } else if (e.inertial_pose && (state_ == State::kTracking || state_ == State::kCoasting) &&
+             without_pose_ns_ <= options_.coast_ns) {
+    state_ = State::kCoasting;
+  } else {
+    state_ = State::kRelocalising;
+  }
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,73 @@
+// What the odometry says of itself: INITIALISING -> TRACKING <-> COASTING -> RELOCALISING -> LOST (DESIGN.md, state).
+// Pure logic: evidence of one frame in, state and its measured reason out. Time is an argument.
+#pragma once
+
+#include <cstdint>
+
+#include "hal/rt/time.h"
+
+namespace godwit::vo {
+
+/// INITIALISING: no map yet. TRACKING: this frame's picture gave the pose. COASTING: a pose from inertial measurements
+/// alone, for a short time. RELOCALISING: there is a map, this frame was not found in it. LOST: the map was given up,
+/// another one is being begun.
+enum class State : std::uint8_t { kInitialising, kTracking, kCoasting, kRelocalising, kLost };
+const char* state_name(State s);
+
+/// A figure and the limit that it was measured against. Static text.
+struct Reason {
+  const char* text = "";
+  int value = 0;
+  int limit = 0;
+};
+
+struct HealthOptions {
+  int min_measurements = 30;                   ///< image measurements without which a frame does not count (DESIGN.md)
+  rt::TimeNs coast_ns = rt::kNsPerSecond / 2;  ///< longest flight on inertial measurements alone
+  rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;  ///< search for the old map so long, then begin a new one
+};
+
+/// What one frame has shown.
+struct FrameEvidence {
+  enum class Kind : std::uint8_t {
+    kNoMap,        ///< there was no map and this frame did not begin one
+    kFirstMap,     ///< this frame began a map
+    kPose,         ///< the picture gave a pose that was proved
+    kUnproved,     ///< found in the map again, and not yet confirmed by another frame
+    kNoPose,       ///< measurements were too few
+    kSamePicture,  ///< bit for bit the picture before: a frozen camera, nothing was measured
+  };
+  Kind kind = Kind::kNoMap;
+  int measurements = 0;
+  bool inertial_pose = false;  ///< a pose from inertial measurements is at hand
+  rt::TimeNs t_capture_ns = 0;
+};
+
+/// One for each tracker. No allocation.
+class Health {
+ public:
+  explicit Health(const HealthOptions& options) : options_(options) {}
+
+  /// Evidence in the order of the frames' times; a time that goes back counts as no time passed.
+  State step(const FrameEvidence& e);
+
+  State state() const { return state_; }
+  const Reason& reason() const { return reason_; }
+  /// True in the one step in which the map was given up: the caller drops it and begins another.
+  bool give_up() const { return give_up_; }
+  /// Time since the first frame without a pose from its picture; 0 while tracking.
+  rt::TimeNs without_pose_ns() const { return without_pose_ns_; }
+
+ private:
+  void without_pose(const FrameEvidence& e, const Reason& why);
+
+  HealthOptions options_;
+  State state_ = State::kInitialising;
+  Reason reason_;
+  bool give_up_ = false;
+  bool counting_ = false;  ///< since t_first_without_ns_ no picture gave a pose
+  rt::TimeNs t_first_without_ns_ = 0;
+  rt::TimeNs without_pose_ns_ = 0;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,166 @@
+// The tracker's side of the map: what it takes from the mapper, what it sends, and which frame slots it holds.
+#include <algorithm>
+
+#include "vo_core/tracker.h"
+
+namespace godwit::vo {
+
+void Tracker::release(int slot, int count) {
+  if (slot >= 0 && release_count_ < static_cast<int>(releases_.size())) releases_[release_count_++] = {slot, count};
+}
+
+bool Tracker::take_release(SlotRelease* out) {
+  if (release_count_ == 0) return false;
+  *out = releases_[--release_count_];
+  return true;
+}
+
+void Tracker::retire(Frame* frame) {
+  if (frame->slot < 0) return;
+  // A keyframe keeps the tracker's own reference until the keyframe is forgotten.
+  const bool keyframe = [&] {
+    for (int k = 0; k < kMaxKeyframes; ++k)
+      if (map_->keyframe(k).id != 0 && map_->keyframe(k).slot == frame->slot) return true;
+    return false;
+  }();
+  const int count = (keyframe ? 0 : 1) + (frame->holds_mapper_reference ? 1 : 0);
+  if (count > 0) release(frame->slot, count);
+  *frame = Frame{};
+}
+
+void Tracker::begin_map() {
+  retire(&first_);
+  retire(&last_);
+  for (int k = 0; k < kMaxKeyframes; ++k)
+    if (map_->keyframe(k).id != 0) release(map_->keyframe(k).slot, 1);
+  map_->clear();
+  initializer_.reset();
+  ++epoch_;
+  next_keyframe_id_ = 1;
+  last_keyframe_id_ = 0;
+  frames_since_keyframe_ = 0;
+  feature_count_ = 0;
+  have_velocity_ = false;
+  unproved_ = 0;
+  relocalise_attempt_ = 0;
+  reset_pending_ = true;
+}
+
+void Tracker::apply_deltas(FrameResult* result) {
+  while (const MapDelta* d = channel_->deltas.front()) {
+    if (d->epoch == epoch_ && frame_counter_ < d->sequence + static_cast<std::uint32_t>(options_.delta_delay_frames))
+      return;
+    if (d->epoch == epoch_) {
+      apply(*d);
+      result->map_moved |= d->moved_keyframe_count > 0;
+    }
+    channel_->deltas.pop();
+    // One delta a frame: the bound of DESIGN.md. In a sequential run all that are due.
+    if (options_.delta_delay_frames == 0) return;
+  }
+}
+
+void Tracker::apply(const MapDelta& d) {
+  for (int i = 0; i < d.new_point_count; ++i) {
+    const DeltaNewPoint& n = d.new_points[i];
+    MapPoint& p = map_->point(n.point.index);
+    if (p.active) map_->remove_point({n.point.index, p.generation});
+    map_->activate_point(n.point, n.p_world);
+  }
+  for (int i = 0; i < d.new_feature_count; ++i) {
+    const int place = map_->find_keyframe(d.new_features[i].keyframe_id);
+    if (place >= 0) map_->append_feature(place, d.new_features[i].feature);
+  }
+  // The last frame moves with the keyframe it hangs on.
+  const int anchor = map_->find_keyframe(last_keyframe_id_);
+  const SE3 T_last_anchor = anchor >= 0 ? last_.T_cam_world * map_->keyframe(anchor).T_kf_world.inverse() : SE3();
+  bool anchor_moved = false;
+  for (int i = 0; i < d.moved_keyframe_count; ++i) {
+    const int place = map_->find_keyframe(d.moved_keyframes[i].keyframe_id);
+    if (place < 0) continue;
+    map_->keyframe(place).T_kf_world = d.moved_keyframes[i].T_kf_world;
+    anchor_moved |= place == anchor;
+  }
+  if (anchor_moved) last_.T_cam_world = T_last_anchor * map_->keyframe(anchor).T_kf_world;
+  for (int i = 0; i < d.moved_point_count; ++i)
+    if (MapPoint* p = map_->find(d.moved_points[i].point)) p->p_world = d.moved_points[i].p_world;
+  for (int i = 0; i < d.removed_observation_count; ++i) {
+    const int place = map_->find_keyframe(d.removed_observations[i].keyframe_id);
+    if (place >= 0) map_->remove_observation(place, d.removed_observations[i].feature);
+  }
+  for (int i = 0; i < d.removed_point_count; ++i) map_->remove_point(d.removed_points[i]);
+  for (int i = 0; i < d.removed_keyframe_count; ++i) {
+    const int place = map_->find_keyframe(d.removed_keyframes[i]);
+    if (place < 0) continue;
+    const int slot = map_->keyframe(place).slot;
+    map_->remove_keyframe(place);
+    // The last frame may be this very keyframe: it then keeps the reference until it is retired.
+    if (slot != last_.slot) release(slot, 1);
+  }
+}
+
+int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
+  const int place = map_->free_keyframe_place();
+  if (place < 0) return -1;
+  Keyframe& kf = map_->insert_keyframe(place, id);
+  relocaliser_->add_keyframe(place, id, frame.pyramid);
+  kf.sequence = frame.sequence;
+  kf.slot = frame.slot;
+  kf.t_capture_ns = frame.t_capture_ns;
+  kf.pyramid = frame.pyramid;
+  kf.T_kf_world = frame.T_cam_world;
+  kf.velocity = frame.velocity;
+  kf.median_depth = median_depth_;
+  for (int i = 0; i < feature_count_; ++i) {
+    const FrameFeature& f = features_[i];
+    KeyframeFeature out;
+    out.px = f.px;
+    out.px_global = f.px_global;
+    out.gradient = f.gradient;
+    out.bearing = camera_.unproject(f.px_global.cast<double>());
+    out.point = f.point;
+    out.level = f.level;
+    out.type = f.type;
+    map_->append_feature(place, out);
+  }
+  return place;
+}
+
+bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place) {
+  MapperMessage* m = channel_->messages.claim();
+  if (!m) return false;
+  m->kind = kind;
+  m->epoch = epoch_;
+  m->sequence = frame_counter_;
+  m->slot = frame->slot;
+  m->pyramid = frame->pyramid;
+  m->t_capture_ns = frame->t_capture_ns;
+  m->T_cam_world = frame->T_cam_world;
+  m->velocity = frame->velocity;
+  m->tracked_features = feature_count_;
+  m->median_depth = median_depth_;
+  m->min_depth = min_depth_;
+  m->keyframe_id = keyframe_id;
+  m->keyframe_place = place;
+  m->initial = keyframe_id == 1 || keyframe_id == 2;
+  m->feature_count = 0;
+  m->weak_count = 0;
+  if (kind == MessageKind::kKeyframe) {
+    m->feature_count = feature_count_;
+    std::copy_n(features_.begin(), feature_count_, m->features.begin());
+    if (m->initial)
+      for (int i = 0; i < feature_count_; ++i)
+        m->initial_points[i] = map_->point(features_[i].point.index).p_world.cast<float>();
+    // Points that are hardly ever found where they should be.
+    for (int i = 0; i < map_->point_end() && m->weak_count < static_cast<int>(m->weak.size()); ++i) {
+      const MapPoint& p = map_->point(i);
+      if (p.active && p.missed > 12 && p.missed > 3 * p.found)
+        m->weak[m->weak_count++] = {static_cast<std::uint16_t>(i), p.generation};
+    }
+  }
+  frame->holds_mapper_reference = false;  // it travels with the message
+  channel_->messages.commit();
+  return true;
+}
+
+}  // namespace godwit::vo
