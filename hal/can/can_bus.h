@@ -75,6 +75,9 @@ class CanBus {
 /// with this IPv4 address) or "socketcan:IFACE". The error names what was wrong and, where there is one, the remedy.
 rt::Result<std::unique_ptr<CanBus>> open_can(const std::string& address);
 
+/// Whether open_can would understand this address; opens nothing.
+rt::Result<void> check_can_address(const std::string& address);
+
 /// True where a frame passes the filters (none: everything passes).
 bool passes(std::span<const CanFilter> filters, const CanFrame& frame);
 

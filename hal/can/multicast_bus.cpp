@@ -17,7 +17,6 @@ constexpr std::uint16_t kMagic = 0x2934;
 constexpr std::uint16_t kPort = 57732;
 constexpr std::uint16_t kFlagFd = 1;
 constexpr std::uint32_t kExtendedBit = 1U << 31;
-constexpr rt::TimeNs kRetryNs = 100 * rt::kNsPerMs;
 
 template <typename T>
 void put(std::uint8_t* at, T value) {
@@ -106,7 +105,7 @@ const char* MulticastBus::connect() {
   // A burst of a few hundred frames must not be lost while our thread is elsewhere; the kernel may give less.
   const int receive_buffer = 1 << 20;
   setsockopt(receive_fd_, SOL_SOCKET, SO_RCVBUF, &receive_buffer, sizeof receive_buffer);
-  setsockopt(receive_fd_, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
+  count_overflow(receive_fd_);
   if (bind(receive_fd_, group_sockaddr, sizeof group) != 0) return "bind";
   ip_mreqn membership{};
   membership.imr_multiaddr = group.sin_addr;
@@ -143,39 +142,21 @@ CanSend MulticastBus::send(const CanFrame& frame) {
 }
 
 bool MulticastBus::receive(CanFrame* frame) {
-  // Own, foreign and filtered datagrams are skipped; the bound keeps a flood of them from holding the caller.
-  for (int i = 0; i < 64 && receive_fd_ >= 0; ++i) {
+  for (int i = 0; i < kSkipsPerReceive && receive_fd_ >= 0; ++i) {
     MulticastDatagram datagram;
-    sockaddr_in from{};
-    iovec part{datagram.data(), datagram.size()};
-    alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(std::uint32_t))> control;
-    msghdr message{};
-    message.msg_name = &from;
-    message.msg_namelen = sizeof from;
-    message.msg_iov = &part;
-    message.msg_iovlen = 1;
-    message.msg_control = control.data();
-    message.msg_controllen = control.size();
-    const ssize_t length = recvmsg(receive_fd_, &message, MSG_DONTWAIT);
-    if (length < 0) {
+    const CanDatagram got = receive_datagram(receive_fd_, datagram, &counters_.receive_overflow);
+    if (got.size < 0) {
       if (errno == EAGAIN || errno == EINTR) return false;
       ++counters_.receive_failed;
       if (errno != ECONNREFUSED) disconnect();
       return false;
     }
-    for (cmsghdr* c = CMSG_FIRSTHDR(&message); c != nullptr; c = CMSG_NXTHDR(&message, c)) {
-      if (c->cmsg_level != SOL_SOCKET || c->cmsg_type != SO_RXQ_OVFL) continue;
-      std::uint32_t dropped = 0;
-      std::memcpy(&dropped, CMSG_DATA(c), sizeof dropped);
-      counters_.receive_overflow = dropped;
-    }
-    if (from.sin_port == own_port_) continue;
-    if ((message.msg_flags & MSG_TRUNC) != 0 ||
-        !decode_datagram({datagram.data(), static_cast<std::size_t>(length)}, frame)) {
+    if (got.from.sin_port == own_port_) continue;
+    if (got.truncated || !decode_datagram({datagram.data(), static_cast<std::size_t>(got.size)}, frame)) {
       ++counters_.receive_malformed;
       continue;
     }
-    if (!passes({filters_.data(), filter_count_}, *frame)) continue;
+    if (!passes(filters_.get(), *frame)) continue;
     ++counters_.received;
     return true;
   }
@@ -183,15 +164,12 @@ bool MulticastBus::receive(CanFrame* frame) {
 }
 
 rt::Result<void> MulticastBus::set_filters(std::span<const CanFilter> filters) {
-  if (filters.size() > kMaxFilters) return rt::Error{"CAN filters: at most " + std::to_string(kMaxFilters)};
-  std::copy(filters.begin(), filters.end(), filters_.begin());
-  filter_count_ = filters.size();
-  return {};
+  return filters_.set(filters);
 }
 
 void MulticastBus::maintain(rt::TimeNs now_ns) {
   if (state_ != CanState::kGone || now_ns < next_attempt_ns_) return;
-  next_attempt_ns_ = now_ns + kRetryNs;
+  next_attempt_ns_ = now_ns + kCanRetryNs;
   if (connect() == nullptr) {
     ++counters_.reopened;
   } else {

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "hal/can/can_bus.h"
+#include "hal/can/can_socket.h"
 
 namespace godwit::hal {
 
@@ -54,8 +54,7 @@ class MulticastBus final : public CanBus {
   CanState state_ = CanState::kGone;
   rt::TimeNs next_attempt_ns_ = 0;
   CanCounters counters_;
-  std::array<CanFilter, kMaxFilters> filters_{};
-  std::size_t filter_count_ = 0;
+  CanFilterList filters_;
   std::vector<std::string> advice_;
 };
 

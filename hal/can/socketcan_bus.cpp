@@ -13,11 +13,6 @@
 #include "hal/can/can_link.h"
 
 namespace godwit::hal {
-namespace {
-constexpr rt::TimeNs kRetryNs = 100 * rt::kNsPerMs;
-constexpr int kSkipsPerReceive = 64;  // a flood of error frames must not hold the caller
-}  // namespace
-
 CanState state_after_error_frame(CanState before, const canfd_frame& raw) {
   if ((raw.can_id & CAN_ERR_BUSOFF) != 0) return CanState::kBusOff;
   if ((raw.can_id & CAN_ERR_RESTARTED) != 0) return CanState::kActive;
@@ -79,7 +74,7 @@ const char* SocketCanBus::connect() {
   const int on = 1;
   const can_err_mask_t errors = CAN_ERR_MASK;
   if (setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors) != 0) return "CAN_RAW_ERR_FILTER";
-  setsockopt(fd_, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
+  count_overflow(fd_);
   // Only lets FD frames through the socket; whether the interface takes them was read when it was opened. Old kernels
   // lack the option, and then also FD interfaces.
   setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &on, sizeof on);
@@ -131,28 +126,16 @@ void SocketCanBus::take_error_frame(const canfd_frame& raw) {
 bool SocketCanBus::receive(CanFrame* frame) {
   for (int i = 0; i < kSkipsPerReceive && fd_ >= 0; ++i) {
     canfd_frame raw{};
-    iovec part{&raw, sizeof raw};
-    alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(std::uint32_t))> control;
-    msghdr message{};
-    message.msg_iov = &part;
-    message.msg_iovlen = 1;
-    message.msg_control = control.data();
-    message.msg_controllen = control.size();
-    const ssize_t size = recvmsg(fd_, &message, MSG_DONTWAIT);
-    if (size < 0) {
+    const CanDatagram got =
+        receive_datagram(fd_, {reinterpret_cast<std::uint8_t*>(&raw), sizeof raw}, &counters_.receive_overflow);
+    if (got.size < 0) {
       if (errno == EAGAIN || errno == EINTR) return false;
       ++counters_.receive_failed;
       disconnect();
       return false;
     }
-    for (cmsghdr* c = CMSG_FIRSTHDR(&message); c != nullptr; c = CMSG_NXTHDR(&message, c)) {
-      if (c->cmsg_level != SOL_SOCKET || c->cmsg_type != SO_RXQ_OVFL) continue;
-      std::uint32_t dropped = 0;
-      std::memcpy(&dropped, CMSG_DATA(c), sizeof dropped);
-      counters_.receive_overflow = dropped;
-    }
-    const bool fd = size == static_cast<ssize_t>(CANFD_MTU);
-    if ((!fd && size != static_cast<ssize_t>(CAN_MTU)) || raw.len > (fd ? kFdCanBytes : kClassicCanBytes)) {
+    const bool fd = got.size == static_cast<ssize_t>(CANFD_MTU);
+    if ((!fd && got.size != static_cast<ssize_t>(CAN_MTU)) || raw.len > (fd ? kFdCanBytes : kClassicCanBytes)) {
       ++counters_.receive_malformed;
       continue;
     }
@@ -167,7 +150,7 @@ bool SocketCanBus::receive(CanFrame* frame) {
     frame->fd = fd;
     frame->length = raw.len;
     std::copy_n(raw.data, raw.len, frame->data.begin());
-    if (!passes({filters_.data(), filter_count_}, *frame)) continue;
+    if (!passes(filters_.get(), *frame)) continue;
     ++counters_.received;
     return true;
   }
@@ -175,21 +158,19 @@ bool SocketCanBus::receive(CanFrame* frame) {
 }
 
 rt::Result<void> SocketCanBus::set_filters(std::span<const CanFilter> filters) {
-  if (filters.size() > kMaxFilters) return rt::Error{"CAN filters: at most " + std::to_string(kMaxFilters)};
-  std::copy(filters.begin(), filters.end(), filters_.begin());
-  filter_count_ = filters.size();
+  if (auto kept = filters_.set(filters); !kept.ok()) return kept;
   if (reopen_ && !apply_filters()) return rt::Error{"CAN filters: " + std::string(std::strerror(errno))};
   return {};
 }
 
 bool SocketCanBus::apply_filters() {
   std::array<can_filter, kMaxFilters> kernel{};
-  for (std::size_t i = 0; i < filter_count_; ++i) {
-    const CanFilter& f = filters_[i];
-    kernel[i].can_id = f.id | (f.extended ? CAN_EFF_FLAG : 0U);
-    kernel[i].can_mask = f.mask | CAN_EFF_FLAG | CAN_RTR_FLAG;
+  std::size_t count = 0;
+  for (const CanFilter& f : filters_.get()) {
+    kernel[count].can_id = f.id | (f.extended ? CAN_EFF_FLAG : 0U);
+    kernel[count++].can_mask = f.mask | CAN_EFF_FLAG | CAN_RTR_FLAG;
   }
-  const std::size_t count = filter_count_ == 0 ? 1 : filter_count_;  // one of zeros lets everything through
+  if (count == 0) count = 1;  // one of zeros lets everything through
   return setsockopt(fd_, SOL_CAN_RAW, CAN_RAW_FILTER, kernel.data(),
                     static_cast<socklen_t>(count * sizeof(can_filter))) == 0;
 }
@@ -197,7 +178,7 @@ bool SocketCanBus::apply_filters() {
 void SocketCanBus::maintain(rt::TimeNs now_ns) {
   const bool gone = state_ == CanState::kGone && reopen_, off = state_ == CanState::kBusOff;
   if ((!gone && !off) || now_ns < next_attempt_ns_) return;
-  next_attempt_ns_ = now_ns + kRetryNs;
+  next_attempt_ns_ = now_ns + kCanRetryNs;
   if (off) {
     // Nothing can be sent meanwhile, so the short stay of this call in the kernel costs nobody anything. Where we may
     // not ask (no CAP_NET_ADMIN), restart-ms of the interface does it and a RESTARTED error frame tells us.
