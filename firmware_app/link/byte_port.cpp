@@ -81,28 +81,6 @@ bool number(const std::string& text, unsigned most, unsigned* out) {
   return failure == std::errc() && end == text.data() + text.size() && *out > 0 && *out <= most;
 }
 
-rt::Result<std::unique_ptr<BytePort>> open_udp(const std::string& address, const std::vector<std::string>& parts) {
-  const auto bad = [&](const std::string& why) { return rt::Error{"MAVLink port \"" + address + "\": " + why}; };
-  unsigned port = 0, local = 0;
-  sockaddr_in to{};
-  to.sin_family = AF_INET;
-  if (inet_pton(AF_INET, parts[1].c_str(), &to.sin_addr) != 1) return bad(parts[1] + " is no IPv4 address");
-  if (!number(parts[2], 65535, &port)) return bad("the port must be 1 to 65535");
-  if (parts.size() == 4 && !number(parts[3], 65535, &local)) return bad("the local port must be 1 to 65535");
-  to.sin_port = htons(static_cast<std::uint16_t>(port));
-  const int fd = socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-  if (fd < 0) return bad(std::strerror(errno));
-  auto self = std::make_unique<UdpPort>(fd);
-  sockaddr_in from{};
-  from.sin_family = AF_INET;
-  from.sin_port = htons(static_cast<std::uint16_t>(local));
-  if (local != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) {
-    return bad("bind: " + std::string(std::strerror(errno)));
-  }
-  if (connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0) return bad(std::strerror(errno));
-  return std::unique_ptr<BytePort>(std::move(self));
-}
-
 constexpr std::array<std::pair<unsigned, speed_t>, 7> kBaudRates{{{57600, B57600},
                                                                   {115200, B115200},
                                                                   {230400, B230400},
@@ -111,24 +89,77 @@ constexpr std::array<std::pair<unsigned, speed_t>, 7> kBaudRates{{{57600, B57600
                                                                   {921600, B921600},
                                                                   {1500000, B1500000}}};
 
-rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, const std::vector<std::string>& parts) {
-  const auto bad = [&](const std::string& why) { return rt::Error{"MAVLink port \"" + address + "\": " + why}; };
-  unsigned baud = 0;
-  const bool is_number = number(parts[2], 10000000, &baud);
-  const auto* rate = std::find_if(kBaudRates.begin(), kBaudRates.end(), [&](const auto& r) { return r.first == baud; });
-  if (!is_number || rate == kBaudRates.end()) {
-    return bad("the baud rate must be 57600, 115200, 230400, 460800, 500000, 921600 or 1500000");
+struct Address {
+  sockaddr_in to{};         ///< UDP: whom to send to; a port of 0: it is a serial line
+  std::uint16_t local = 0;  ///< UDP: our own port, 0: any
+  std::string device;       ///< serial
+  speed_t baud_rate = B0;
+};
+
+rt::Error wrong(const std::string& address, const std::string& why) {
+  return rt::Error{"MAVLink port \"" + address + "\": " + why};
+}
+
+rt::Result<Address> parse(const std::string& address) {
+  const std::vector<std::string> parts = split(address);
+  Address out;
+  if (parts[0] == "udp" && (parts.size() == 3 || parts.size() == 4)) {
+    unsigned port = 0, local = 0;
+    out.to.sin_family = AF_INET;
+    if (inet_pton(AF_INET, parts[1].c_str(), &out.to.sin_addr) != 1) {
+      return wrong(address, parts[1] + " is no IPv4 address");
+    }
+    if (!number(parts[2], 65535, &port)) return wrong(address, "the port must be 1 to 65535");
+    if (parts.size() == 4 && !number(parts[3], 65535, &local)) {
+      return wrong(address, "the local port must be 1 to 65535");
+    }
+    out.to.sin_port = htons(static_cast<std::uint16_t>(port));
+    out.local = static_cast<std::uint16_t>(local);
+    return out;
   }
-  const int fd = open(parts[1].c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
-  if (fd < 0) return bad(std::strerror(errno));
+  if (parts[0] == "serial" && parts.size() == 3 && !parts[1].empty()) {
+    unsigned baud = 0;
+    const bool is_number = number(parts[2], 10000000, &baud);
+    const auto* rate =
+        std::find_if(kBaudRates.begin(), kBaudRates.end(), [&](const auto& r) { return r.first == baud; });
+    if (!is_number || rate == kBaudRates.end()) {
+      return wrong(address, "the baud rate must be 57600, 115200, 230400, 460800, 500000, 921600 or 1500000");
+    }
+    out.device = parts[1];
+    out.baud_rate = rate->second;
+    return out;
+  }
+  return wrong(address, "expected udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD");
+}
+
+rt::Result<std::unique_ptr<BytePort>> open_udp(const std::string& address, const Address& a) {
+  const int fd = socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (fd < 0) return wrong(address, std::strerror(errno));
+  auto self = std::make_unique<UdpPort>(fd);
+  sockaddr_in from{};
+  from.sin_family = AF_INET;
+  from.sin_port = htons(a.local);
+  if (a.local != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) {
+    return wrong(address, "bind: " + std::string(std::strerror(errno)));
+  }
+  if (connect(fd, reinterpret_cast<const sockaddr*>(&a.to), sizeof a.to) != 0) {
+    return wrong(address, std::strerror(errno));
+  }
+  return std::unique_ptr<BytePort>(std::move(self));
+}
+
+rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, const Address& a) {
+  const auto bad = [&](const std::string& why) { return wrong(address, why); };
+  const int fd = open(a.device.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+  if (fd < 0) return bad(a.device + ": " + std::strerror(errno));
   auto self = std::make_unique<SerialPort>(fd);
   termios mode{};
   if (tcgetattr(fd, &mode) != 0) return bad("no serial port: " + std::string(std::strerror(errno)));
   cfmakeraw(&mode);
   mode.c_cflag |= CLOCAL | CREAD;
   mode.c_cflag &= ~static_cast<tcflag_t>(CRTSCTS | CSTOPB);
-  cfsetispeed(&mode, rate->second);
-  cfsetospeed(&mode, rate->second);
+  cfsetispeed(&mode, a.baud_rate);
+  cfsetospeed(&mode, a.baud_rate);
   if (tcsetattr(fd, TCSANOW, &mode) != 0) return bad(std::strerror(errno));
   return std::unique_ptr<BytePort>(std::move(self));
 }
@@ -136,10 +167,16 @@ rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, co
 }  // namespace
 
 rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address) {
-  const std::vector<std::string> parts = split(address);
-  if (parts[0] == "udp" && (parts.size() == 3 || parts.size() == 4)) return open_udp(address, parts);
-  if (parts[0] == "serial" && parts.size() == 3) return open_serial(address, parts);
-  return rt::Error{"MAVLink port \"" + address + "\": expected udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD"};
+  const auto parsed = parse(address);
+  if (!parsed.ok()) return parsed.error();
+  const Address& a = parsed.value();
+  return a.to.sin_port != 0 ? open_udp(address, a) : open_serial(address, a);
+}
+
+rt::Result<void> check_byte_port_address(const std::string& address) {
+  const auto parsed = parse(address);
+  if (!parsed.ok()) return parsed.error();
+  return {};
 }
 
 bool ByteQueue::push(std::span<const std::uint8_t> message, TxClass tx_class) {

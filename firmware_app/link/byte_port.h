@@ -29,6 +29,9 @@ class BytePort {
 /// "serial:DEVICE:BAUD". The error names what was wrong.
 rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address);
 
+/// Whether open_byte_port would understand this address; opens nothing.
+rt::Result<void> check_byte_port_address(const std::string& address);
+
 /// Whole messages waiting for a stream that takes what it can: a message that began is finished, others of class kPose
 /// give way to newer ones.
 class ByteQueue {

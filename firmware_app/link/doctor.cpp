@@ -185,7 +185,7 @@ const std::vector<std::string>& doctor_parameters() {
 
 std::vector<Finding> diagnose(const std::map<std::string, double>& parameters, const DoctorConfig& config) {
   Examination e(parameters);
-  examine_can(&e, config);
+  if (config.through_tunnel) examine_can(&e, config);
   examine_visual_odometry(&e, config);
   examine_sources(&e);
   return std::move(e.findings);

@@ -15,8 +15,9 @@
 namespace godwit::link {
 
 struct DoctorConfig {
-  int node_id = 42;      ///< ours
-  int serial_index = 0;  ///< VIO_SER_IDX
+  int node_id = 42;            ///< ours
+  int serial_index = 0;        ///< VIO_SER_IDX
+  bool through_tunnel = true;  ///< else over a serial line or network, and the bus' parameters do not matter
   Eigen::Vector3d t_body_cam = Eigen::Vector3d::Zero();
   std::optional<int> viso_delay_ms;  ///< measured; absent: not yet
 };

@@ -47,26 +47,39 @@ bool TimeSync::synchronised(rt::TimeNs now_ns) const {
   return answers_ >= 8 && now_ns - last_answer_ns_ <= 10 * rt::kNsPerSecond;
 }
 
+void TimeWindow::add(rt::TimeNs time_ns) {
+  times_ms_[count_ % kSize] = static_cast<float>(rt::to_ms(time_ns));
+  ++count_;
+}
+
+void TimeWindow::sort() {
+  sorted_ = size();
+  const auto end = sorted_ms_.begin() + static_cast<std::ptrdiff_t>(sorted_);
+  std::copy_n(times_ms_.begin(), sorted_, sorted_ms_.begin());
+  std::sort(sorted_ms_.begin(), end);
+}
+
+double TimeWindow::share_ms(double share) const {
+  if (sorted_ == 0) return 0;
+  return static_cast<double>(sorted_ms_[static_cast<std::size_t>(share * static_cast<double>(sorted_ - 1))]);
+}
+
 void LatencyMonitor::add(rt::TimeNs t_capture_ns, rt::TimeNs t_sent_ns, const LatencyPath& path) {
   const rt::TimeNs total = t_sent_ns - t_capture_ns + path.one_way_ns + path.wire_extra_ns;
-  total_ms_[count_ % kWindow] = static_cast<float>(rt::to_ms(total));
-  corrected_ms_[count_ % kWindow] = static_cast<float>(rt::to_ms(total - path.serial_correction_ns));
-  ++count_;
+  total_.add(total);
+  corrected_.add(total - path.serial_correction_ns);
 }
 
 LatencySummary LatencyMonitor::summary() {
   LatencySummary out;
-  out.samples = std::min(count_, kWindow);
+  out.samples = total_.size();
   if (out.samples == 0) return out;
-  const auto at = [this](std::size_t i) { return scratch_.begin() + static_cast<std::ptrdiff_t>(i); };
-  std::copy_n(total_ms_.begin(), out.samples, scratch_.begin());
-  std::sort(scratch_.begin(), at(out.samples));
-  out.min_ms = static_cast<double>(scratch_[0]);
-  out.p50_ms = static_cast<double>(scratch_[(out.samples - 1) / 2]);
-  out.p99_ms = static_cast<double>(scratch_[(out.samples - 1) * 99 / 100]);
-  const float least =
-      *std::min_element(corrected_ms_.begin(), corrected_ms_.begin() + static_cast<std::ptrdiff_t>(out.samples));
-  out.viso_delay_ms = std::clamp(static_cast<int>(std::lround(least)), 0, kMaxDelayMs);
+  total_.sort();
+  corrected_.sort();
+  out.min_ms = total_.share_ms(0);
+  out.p50_ms = total_.share_ms(0.5);
+  out.p99_ms = total_.share_ms(0.99);
+  out.viso_delay_ms = std::clamp(static_cast<int>(std::lround(corrected_.share_ms(0))), 0, kMaxDelayMs);
   if (out.samples >= kMinSamples && baseline_p50_ms_ <= 0) baseline_p50_ms_ = out.p50_ms;
   out.grew =
       baseline_p50_ms_ > 0 && out.p50_ms > baseline_p50_ms_ + kGrowthMs && out.p50_ms > baseline_p50_ms_ * kGrowthShare;

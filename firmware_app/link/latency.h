@@ -62,21 +62,37 @@ struct LatencySummary {
   bool grew = false;      ///< the median rose by more than 10 ms and a quarter above that of the first window
 };
 
-/// Latencies of the newest kWindow poses. One thread, no allocation.
+/// The newest kSize times of one kind. One thread, no allocation.
+class TimeWindow {
+ public:
+  static constexpr std::size_t kSize = 512;
+  void add(rt::TimeNs time_ns);
+  std::size_t size() const { return count_ < kSize ? count_ : kSize; }
+  /// Readies the percentiles: sorts a copy, so call it about once a second.
+  void sort();
+  /// Share 0 (least) to 1 (most) of the times as they were at the last sort() [ms]; 0 where there were none.
+  double share_ms(double share) const;
+
+ private:
+  std::array<float, kSize> times_ms_{};
+  std::array<float, kSize> sorted_ms_{};
+  std::size_t count_ = 0;
+  std::size_t sorted_ = 0;
+};
+
+/// Latencies of the newest poses. One thread, no allocation.
 class LatencyMonitor {
  public:
-  static constexpr std::size_t kWindow = 512;
+  static constexpr std::size_t kWindow = TimeWindow::kSize;
   static constexpr std::size_t kMinSamples = 60;
   /// t_sent_ns: when the last frame of the message was handed to the bus.
   void add(rt::TimeNs t_capture_ns, rt::TimeNs t_sent_ns, const LatencyPath& path);
-  /// Sorts the window: call it about once a second.
+  /// Sorts the windows: call it about once a second.
   LatencySummary summary();
 
  private:
-  std::array<float, kWindow> total_ms_{};
-  std::array<float, kWindow> corrected_ms_{};
-  std::array<float, kWindow> scratch_{};
-  std::size_t count_ = 0;
+  TimeWindow total_;
+  TimeWindow corrected_;
   double baseline_p50_ms_ = 0;
 };
 

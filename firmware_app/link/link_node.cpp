@@ -106,24 +106,22 @@ void LinkNode::follow_resets(const PoseSample& sample) {
 
 // Poses leave in step with VIO_RATE: one is due when its capture time has come within a quarter period of the plan, so
 // that a camera of the same rate loses none to jitter, and a faster one is thinned evenly.
-bool LinkNode::pose_is_due(const PoseSample& sample, rt::TimeNs now_ns) {
+bool LinkNode::pose_is_due(const PoseSample& sample) {
   const rt::TimeNs period = rt::kNsPerSecond / parameters_.get(Parameter::kRate);
-  if (sample.t_capture_ns < t_next_due_ns_ - period / 4 || now_ns - t_last_odometry_ns_ < kMinOdometryGapNs) {
-    ++status_.poses_paced;
-    return false;
-  }
+  if (sample.t_capture_ns < t_next_due_ns_ - period / 4) return false;
   t_next_due_ns_ += period;
   // After a gap the plan begins anew.
   if (sample.t_capture_ns - t_next_due_ns_ > 0) t_next_due_ns_ = sample.t_capture_ns + period;
   return true;
 }
 
-void LinkNode::send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs now_ns) {
+void LinkNode::send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs t_published_ns, rt::TimeNs now_ns) {
   last_carried_ = 0;
   if (!endpoint_.send_odometry(odometry_message(pose, config_.odometry, t_capture_ns, reset_counter_), now_ns)) return;
   ++status_.odometry_sent;
   t_last_odometry_ns_ = now_ns;
-  pose_capture_ns_ = pose.quality > 0 ? t_capture_ns : 0;
+  sample_sent_ = {t_capture_ns, t_published_ns, pose.quality};
+  pose_under_way_ = true;
   pose_number_ = last_carried_;
 }
 
@@ -145,21 +143,28 @@ void LinkNode::take_pose(rt::TimeNs now_ns) {
       const bool known = sample.has_gravity || config_.odometry.bench_metric;
       bad_pose_ = claims_pose && known && !body_.attitude_known;
       // A pose that fails is told at once, whatever the plan says.
-      const bool failed =
-          body_.quality < 0 && status_.quality >= 0 && now_ns - t_last_odometry_ns_ >= kMinOdometryGapNs;
-      if (pose_is_due(sample, now_ns) || failed) send_pose(body_, sample.t_capture_ns, now_ns);
+      const bool failed = body_.quality < 0 && status_.quality >= 0;
+      const bool due = pose_is_due(sample) || failed;
+      if (!due || pose_waits_) ++status_.poses_paced;
+      pose_waits_ = pose_waits_ || due;
       status_.quality = body_.quality;
     }
+  }
+  // Poses that come bunched after a delay leave as far apart as the autopilot takes them, always the newest.
+  if (pose_waits_ && now_ns - t_last_odometry_ns_ >= kMinOdometryGapNs) {
+    pose_waits_ = false;
+    send_pose(body_, sample_.t_capture_ns, sample_.t_published_ns, now_ns);
   }
   if (!any_pose_ || !stalled(now_ns)) return;
   // Camera or odometry fell silent: say so at the usual rate, with no pose at all rather than the last one again.
   if (sample_.state != PoseState::kLost) {
     sample_.state = PoseState::kLost;
+    pose_waits_ = false;
     body_ = body_pose(PoseSample{}, config_.odometry);
     status_.quality = -1;
   }
   const rt::TimeNs period = rt::kNsPerSecond / parameters_.get(Parameter::kRate);
-  if (now_ns - t_last_odometry_ns_ >= period) send_pose(body_, now_ns, now_ns);
+  if (now_ns - t_last_odometry_ns_ >= period) send_pose(body_, now_ns, 0, now_ns);
 }
 
 void LinkNode::send_telemetry(rt::TimeNs now_ns) {
@@ -216,7 +221,7 @@ NodeCondition LinkNode::condition(rt::TimeNs now_ns) const {
   const auto set = [&c](Reason reason, bool on) {
     c.reasons = static_cast<std::uint16_t>(c.reasons | (on ? reason : 0));
   };
-  const bool stall = any_pose_ && stalled(now_ns);
+  const bool stall = stalled(now_ns);
   const bool has_pose = !stall && (sample_.state == PoseState::kTracking || sample_.state == PoseState::kCoasting);
   const bool bench = config_.odometry.bench_metric;
   set(kCameraFailed, !health_.camera_ok);
@@ -246,7 +251,11 @@ NodeCondition LinkNode::condition(rt::TimeNs now_ns) const {
 
 void LinkNode::account_sent_pose(rt::TimeNs now_ns) {
   const bool by_bytes = ports_.bytes != nullptr;
-  if (pose_capture_ns_ == 0 || (!by_bytes && queue_.last_pose_sent() != pose_number_)) return;
+  if (!pose_under_way_ || (!by_bytes && queue_.last_pose_sent() != pose_number_)) return;
+  pose_under_way_ = false;
+  const rt::TimeNs sent_ns = config_.clock != nullptr ? config_.clock() : now_ns;
+  if (sample_sent_.t_published_ns != 0) own_time_.add(sent_ns - sample_sent_.t_published_ns);
+  if (sample_sent_.quality <= 0) return;
   LatencyPath path;
   const TimeSync& sync = endpoint_.time_sync();
   if (sync.synchronised(now_ns)) path.one_way_ns = sync.round_trip_ns() / 2;
@@ -259,8 +268,7 @@ void LinkNode::account_sent_pose(rt::TimeNs now_ns) {
     const auto baud = static_cast<double>(parameters_.get(Parameter::kBaudRate));
     path.serial_correction_ns = static_cast<rt::TimeNs>(kPoseBytes * 10 / baud * 1e9);
   }
-  latency_.add(pose_capture_ns_, now_ns, path);
-  pose_capture_ns_ = 0;
+  latency_.add(sample_sent_.t_capture_ns, sent_ns, path);
 }
 
 void LinkNode::tell_latency(rt::TimeNs now_ns) {
@@ -282,6 +290,11 @@ void LinkNode::each_second(rt::TimeNs now_ns) {
   if (now_ns < t_next_second_ns_) return;
   t_next_second_ns_ = now_ns + rt::kNsPerSecond;
   status_.latency = latency_.summary();
+  own_time_.sort();
+  status_.own_samples = own_time_.size();
+  status_.own_p50_ms = own_time_.share_ms(0.5);
+  status_.own_p99_ms = own_time_.share_ms(0.99);
+  status_.own_max_ms = own_time_.share_ms(1);
   status_.tx = queue_.counters();
   const std::uint32_t known = ports_.bus != nullptr ? ports_.bus->bit_rate() : 0;
   const double bit_rate = known > 0 ? known : config_.assumed_bit_rate;
@@ -342,6 +355,7 @@ void LinkNode::step(rt::TimeNs now_ns) {
   status_.armed = armed(now_ns);
   status_.autopilot_alive = endpoint_.autopilot_alive(now_ns);
   status_.reset_counter = reset_counter_;
+  status_.synchronised = endpoint_.time_sync().synchronised(now_ns);
   status_.round_trip_ms = rt::to_ms(endpoint_.time_sync().round_trip_ns());
   status_.reception = reassembler_.counters();
   status_.mavlink = endpoint_.counters();

@@ -48,10 +48,14 @@ struct LinkConfig {
   ParameterValues parameters = fallback_values();
   bool imu_required = false;
   rt::TimeNs pose_timeout_ns = 90 * rt::kNsPerMs;  ///< health is ERROR within 100 ms of the last frame
+  /// A camera that never gave a picture since the start is a failed one, too.
+  rt::TimeNs first_pose_timeout_ns = 3 * rt::kNsPerSecond;
   rt::TimeNs max_pose_age_ns = 500 * rt::kNsPerMs;
   float max_temperature_c = 95;
   std::uint32_t assumed_bit_rate = 1'000'000;  ///< for the bus load where the interface does not tell
   double fd_data_rate_factor = 4;
+  /// Read after the frames of a pose were handed over, for the latency figures alone; null: step()'s argument stands.
+  rt::TimeNs (*clock)() = nullptr;
 };
 
 /// What the link says of itself to log and display.
@@ -65,10 +69,17 @@ struct LinkStatus {
   std::uint8_t reset_counter = 0;
   LatencySummary latency;
   double round_trip_ms = 0;
+  bool synchronised = false;  ///< by TIMESYNC; without it the latency lacks the way to the autopilot
+  /// Our own share: from a pose given to the link to its last frame handed to the bus.
+  std::size_t own_samples = 0;
+  double own_p50_ms = 0;
+  double own_p99_ms = 0;
+  double own_max_ms = 0;
   double bus_load_percent = 0;  ///< of our own frames over the last second
   std::uint64_t odometry_sent = 0;
   std::uint64_t poses_stale = 0;  ///< given to us late, twice or from the future; never sent as good
-  std::uint64_t poses_paced = 0;  ///< passed over because the camera is faster than VIO_RATE
+  std::uint64_t poses_paced =
+      0;  ///< passed over for a newer one: the camera is faster than VIO_RATE, or poses came bunched
   TxCounters tx;
   dronecan::ReassemblyCounters reception;
   hal::CanCounters bus;
@@ -125,8 +136,8 @@ class LinkNode {
   bool send_through_tunnel(std::span<const std::uint8_t> frame, TxClass tx_class, rt::TimeNs now_ns);
   void take_pose(rt::TimeNs now_ns);
   void follow_resets(const PoseSample& sample);
-  bool pose_is_due(const PoseSample& sample, rt::TimeNs now_ns);
-  void send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs now_ns);
+  bool pose_is_due(const PoseSample& sample);
+  void send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs t_published_ns, rt::TimeNs now_ns);
   void send_telemetry(rt::TimeNs now_ns);
   void tell_state(rt::TimeNs now_ns);
   dronecan::NodeCondition condition(rt::TimeNs now_ns) const;
@@ -136,7 +147,9 @@ class LinkNode {
   bool armed(rt::TimeNs now_ns) const;
   void say(mavlink::StatusText::Severity severity, std::string_view text, rt::TimeNs now_ns);
   void set_bus_filters();
-  bool stalled(rt::TimeNs now_ns) const { return now_ns - t_last_pose_ns_ > config_.pose_timeout_ns; }
+  bool stalled(rt::TimeNs now_ns) const {
+    return now_ns - t_last_pose_ns_ > (any_pose_ ? config_.pose_timeout_ns : config_.first_pose_timeout_ns);
+  }
 
   LinkConfig config_;
   LinkPorts ports_;
@@ -147,6 +160,7 @@ class LinkNode {
   LinkCarrier carrier_;
   mavlink::Endpoint endpoint_;
   LatencyMonitor latency_;
+  TimeWindow own_time_;
   std::atomic<bool> origin_requested_{false};  // partner: step(); a flag alone, so relaxed order will do
 
   PoseSample sample_;  // the newest one taken
@@ -155,6 +169,7 @@ class LinkNode {
   bool started_ = false;
   bool any_pose_ = false;
   bool bad_pose_ = false;
+  bool pose_waits_ = false;        // body_ is due and not sent yet
   rt::TimeNs t_last_pose_ns_ = 0;  // arrival of the newest good sample
   rt::TimeNs t_next_due_ns_ = 0;   // capture time from which the next pose is sent
   rt::TimeNs t_last_odometry_ns_ = 0;
@@ -167,7 +182,13 @@ class LinkNode {
   std::uint8_t tunnel_transfer_id_ = 0;
   std::uint64_t last_carried_ = 0;  // number of the message the carrier queued last
   std::uint64_t pose_number_ = 0;   // of the pose whose sending is awaited
-  rt::TimeNs pose_capture_ns_ = 0;
+  struct SentPose {
+    rt::TimeNs t_capture_ns = 0;
+    rt::TimeNs t_published_ns = 0;  // 0: not known, or it is none of a frame
+    std::int8_t quality = -1;
+  };
+  SentPose sample_sent_;  // the last one given to queue or port
+  bool pose_under_way_ = false;
   std::uint8_t telemetry_sequence_ = 0;
   rt::TimeNs t_next_telemetry_ns_ = 0;
   rt::TimeNs t_next_second_ns_ = 0;

@@ -25,6 +25,7 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
   const auto stored = self->storage_.load(settings.link.parameters);
   if (!stored.ok()) return stored.error();
   LinkConfig config = settings.link;
+  config.clock = &rt::monotonic_now_ns;
   if (config.identity.unique_id == dronecan::UniqueId{}) {
     std::ifstream file("/etc/machine-id");
     const std::string machine_id(std::istreambuf_iterator<char>(file), {});
@@ -55,7 +56,9 @@ std::vector<std::string> LinkService::advice() const {
 }
 
 void LinkService::publish(const PoseSample& sample) {
-  poses_.write(sample);
+  PoseSample stamped = sample;
+  stamped.t_published_ns = rt::monotonic_now_ns();
+  poses_.write(stamped);
   const std::uint64_t one = 1;
   // Refused only when the counter is full, and then the link thread is awake or about to be.
   static_cast<void>(write(wake_fd_, &one, sizeof one) == sizeof one);

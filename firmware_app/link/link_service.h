@@ -43,6 +43,8 @@ class LinkService {
   void step(rt::TimeNs now_ns) { node_->step(now_ns); }
   /// A thread that may block, some ten times a second.
   void serve_storage() { storage_.serve(); }
+  /// The same thread: the last failure to keep something, empty where there was none.
+  const std::string& storage_error() const { return storage_.last_error(); }
 
   LinkNode& node() { return *node_; }
 

@@ -75,7 +75,7 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
   out.velocity_covariance = most_velocity.asDiagonal();
   if (!usable(s)) return out;
   out.attitude_known = s.has_gravity || config.bench_metric;
-  out.metric = out.attitude_known && (s.has_scale || config.bench_metric);
+  out.metric = out.attitude_known && s.has_velocity && (s.has_scale || config.bench_metric);
   if (!out.attitude_known) return out;
 
   const Eigen::Matrix3d R_world_cam =

@@ -32,7 +32,7 @@ struct OdometryConfig {
 /// Pose in the profile's frames, before it becomes a message; also what the telemetry frames carry. Always finite.
 struct BodyPose {
   bool attitude_known = false;                         ///< else the attitude is neutral
-  bool metric = false;                                 ///< else position and velocity are zero
+  bool metric = false;                                 ///< else position and velocity are zero, quality -1
   std::int8_t quality = -1;                            ///< -1 failed, 1 to 100
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< [m], local frame
   Eigen::Vector4d q{1, 0, 0, 0};                       ///< w x y z, body to local frame, w >= 0

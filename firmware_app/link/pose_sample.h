@@ -15,10 +15,12 @@ enum class PoseState : std::uint8_t { kInitialising = 0, kTracking = 1, kCoastin
 /// World: right-handed, origin where the map began, z up once gravity is known, x a fixed horizontal direction.
 /// Camera: x right, y down, z forward. Everything metric once has_scale.
 struct PoseSample {
-  rt::TimeNs t_capture_ns = 0;  ///< middle of exposure, CLOCK_MONOTONIC
+  rt::TimeNs t_capture_ns = 0;    ///< middle of exposure, CLOCK_MONOTONIC
+  rt::TimeNs t_published_ns = 0;  ///< when it was given to the link; 0: not known
   PoseState state = PoseState::kInitialising;
   bool has_scale = false;
   bool has_gravity = false;
+  bool has_velocity = true;        ///< false: the pose stands alone, nobody knows yet how it moves
   std::uint8_t reset_counter = 0;  ///< counts the jumps of the pose in this run; any change is passed on
   std::uint32_t map_id = 0;
   std::uint16_t measurements = 0;  ///< image measurements that updated this pose

@@ -49,6 +49,7 @@ rt::Result<StoredState> Storage::load(const ParameterValues& defaults) const {
   StoredState state;
   state.parameters = defaults;
   if (folder_.empty()) return state;
+  if (access(folder_.c_str(), W_OK | X_OK) != 0) return rt::Error{"link: state folder " + error_text(folder_)};
   const std::string parameters = folder_ + "/" + kParameterFile, reset = folder_ + "/" + kResetFile;
   if (std::ifstream in(parameters); in) {
     if (const auto read = read_parameters(parameters, in, &state.parameters); !read.ok()) return read.error();

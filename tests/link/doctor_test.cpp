@@ -31,6 +31,16 @@ TEST(Doctor, FindsNothingWhereAllFits) {
   EXPECT_TRUE(diagnose(good(), config()).empty());
 }
 
+TEST(Doctor, WithoutTheTunnelTheBusDoesNotMatter) {
+  auto parameters = good();
+  parameters["CAN_D1_UC_SER_EN"] = 0;
+  parameters.erase("CAN_P1_DRIVER");
+  DoctorConfig c = config();
+  EXPECT_EQ(diagnose(parameters, c).size(), 2U);
+  c.through_tunnel = false;
+  EXPECT_TRUE(diagnose(parameters, c).empty());
+}
+
 struct Wrong {
   const char* name;
   double value;

@@ -56,6 +56,72 @@ TEST(LinkNode, OdometryAtTheCameraRate) {
   }
 }
 
+// A busy computer: each pose comes up to 25 ms late, so that some come a few milliseconds after the one before.
+TEST(LinkNode, BunchedPosesLeaveFarEnoughApartAndHardlyOneIsLost) {
+  LinkHarness h;
+  h.camera = false;
+  const rt::TimeNs period = rt::kNsPerSecond / 30;
+  rt::TimeNs capture = h.now;
+  for (int i = 0; i < 300; ++i, capture += period) {
+    const rt::TimeNs arrival = capture + 5 * kMs + (i * 37 % 26) * kMs;
+    while (h.now < arrival) h.step();
+    h.poses.write(good_pose(capture));
+    h.step();
+  }
+  h.run(0.03);
+  h.decode_sent();
+  EXPECT_GE(h.odometry.size(), 290U);
+  for (std::size_t i = 1; i < h.odometry.size(); ++i) {
+    EXPECT_GE(h.odometry[i].first - h.odometry[i - 1].first, 21 * kMs);
+    EXPECT_GT(h.odometry[i].second.time_usec, h.odometry[i - 1].second.time_usec);
+  }
+}
+
+TEST(LinkNode, ACameraThatNeverGivesAPictureIsAnError) {
+  LinkHarness h;
+  h.camera = false;
+  h.run(2.9);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk) << "it may still be starting";
+  EXPECT_EQ(h.link->status().condition.mode, dronecan::NodeMode::kInitialization);
+  h.run(0.2);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kError);
+  EXPECT_EQ(h.link->status().condition.reasons & kPoseStalled, kPoseStalled);
+  h.next_frame = h.now;
+  h.camera = true;
+  h.run(0.2);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk);
+}
+
+TEST(LinkNode, OwnTimeRunsFromTheGivenPoseToItsLastFrame) {
+  static rt::TimeNs clock_now = 0;
+  LinkConfig config;
+  config.clock = [] { return clock_now; };
+  LinkHarness h(config);
+  h.camera = false;
+  for (int i = 0; i < 90; ++i) {
+    PoseSample s = good_pose(h.now);
+    s.t_published_ns = h.now;
+    h.poses.write(s);
+    clock_now = h.now + 700'000;  // when the last frame was handed over
+    for (int k = 0; k < 33; ++k) h.step();
+  }
+  EXPECT_NEAR(h.link->status().own_p50_ms, 0.7, 1e-3);
+  EXPECT_NEAR(h.link->status().own_p99_ms, 0.7, 1e-3);
+}
+
+TEST(LinkNode, APoseWithoutVelocityIsNotFused) {
+  LinkHarness h;
+  h.make_pose = [](rt::TimeNs t) {
+    PoseSample s = good_pose(t);
+    s.has_velocity = false;
+    return s;
+  };
+  h.run(1);
+  h.decode_sent();
+  ASSERT_FALSE(h.odometry.empty());
+  for (const auto& [t, m] : h.odometry) EXPECT_EQ(m.quality, -1);
+}
+
 TEST(LinkNode, PoseLeavesInTheStepThatTakesIt) {
   LinkHarness h;
   h.run(1);

@@ -33,6 +33,14 @@ TEST(LinkService, RefusalsNameTheReason) {
   EXPECT_NE(bad.error().message.find("nowhere"), std::string::npos);
 }
 
+TEST(LinkService, AStateFolderThatIsNotThereIsRefused) {
+  LinkSettings s = settings();
+  s.state_folder = "/no/such/folder";
+  const auto bad = LinkService::open(s);
+  ASSERT_FALSE(bad.ok());
+  EXPECT_NE(bad.error().message.find("/no/such/folder"), std::string::npos);
+}
+
 TEST(LinkService, UniqueIdIsStableAndNeverZero) {
   EXPECT_EQ(dronecan::unique_id_from("a"), dronecan::unique_id_from("a"));
   EXPECT_NE(dronecan::unique_id_from("a"), dronecan::unique_id_from("b"));
