@@ -20,7 +20,7 @@ struct Config {
 
   struct Threads {
     bool lock_memory = false;
-    rt::ThreadPlan camera, tracker, mapper;
+    rt::ThreadPlan camera, tracker, mapper, link;
   } threads;
 
   struct Scheduling {
@@ -39,6 +39,35 @@ struct Config {
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;
+
+  /// The CAN bus, and godwit as a DroneCAN node on it.
+  struct Can {
+    std::string bus;  ///< "multicast:N" or "socketcan:IFACE"; empty: no bus
+    int node_id = 42;
+    int autopilot_node = 10;
+    int serial_index = 0;
+    int baud_rate = 921600;
+    bool fd = false;
+    int telemetry_rate = 10;  ///< snapshots a second
+    int telemetry_base = 0x300;
+    bool telemetry_fd = false;
+  } can;
+
+  /// What the autopilot is told, and how.
+  struct Link {
+    enum class Profile { kArdupilot, kPx4 };
+    enum class Arming { kAllowWithoutPose, kRequirePose };
+    std::string mavlink;  ///< "udp:HOST:PORT[:LOCALPORT]" or "serial:DEVICE:BAUD"; empty: through the bus
+    Profile profile = Profile::kArdupilot;
+    int rate = 30;      ///< ODOMETRY a second
+    int system_id = 0;  ///< 0: the autopilot's
+    Arming arming = Arming::kAllowWithoutPose;
+    std::vector<double> T_body_cam;  ///< 4 x 4 by rows; empty: the calibration's, or else looking ahead
+    double world_heading_deg = 0;    ///< of the body's front when the map begins
+    std::vector<double> origin;      ///< latitude, longitude [degree], height [m]; empty: none
+    bool bench_metric = false;       ///< replay only: lengths of the map pass for metres, its start for level
+    std::string state_folder;        ///< parameters and reset counter are kept there; empty: nowhere
+  } link;
 };
 
 /// A configuration, or everything that is wrong with it.

@@ -6,6 +6,22 @@
 #include <cstdio>
 
 namespace godwit::app::keys {
+namespace {
+/// False, and *to untouched: not a number from low to high.
+bool read_number(const toml::node& node, double low, double high, double* to) {
+  double value = 0;
+  if (node.is_floating_point()) {
+    value = node.as_floating_point()->get();
+  } else if (node.is_integer()) {
+    value = static_cast<double>(node.as_integer()->get());
+  } else {
+    return false;
+  }
+  if (!(value >= low && value <= high)) return false;  // not-a-number is in no range
+  *to = value;
+  return true;
+}
+}  // namespace
 
 std::string quoted(std::string_view text) {
   std::string out = "\"";
@@ -31,21 +47,31 @@ std::string decimal(double value) {
 Key number(std::string name, double low, double high, std::string_view unit, double* to) {
   std::string allowed = "a number from " + decimal(low) + " to " + decimal(high);
   if (!unit.empty()) allowed += " [" + std::string(unit) + "]";
-  return {std::move(name), std::move(allowed),
-          [=](const toml::node& node) {
-            double value = 0;
-            if (node.is_floating_point()) {
-              value = node.as_floating_point()->get();
-            } else if (node.is_integer()) {
-              value = static_cast<double>(node.as_integer()->get());
-            } else {
-              return false;
-            }
-            if (!(value >= low && value <= high)) return false;  // not-a-number is in no range
-            *to = value;
-            return true;
-          },
+  return {std::move(name), std::move(allowed), [=](const toml::node& node) { return read_number(node, low, high, to); },
           [=] { return decimal(*to); }};
+}
+
+Key number_list(std::string name, std::size_t count, double low, double high, std::vector<double>* to) {
+  return {
+      std::move(name),
+      "an empty list [], or one of " + std::to_string(count) + " numbers from " + decimal(low) + " to " + decimal(high),
+      [=](const toml::node& node) {
+        if (!node.is_array()) return false;
+        std::vector<double> values;
+        for (const toml::node& item : *node.as_array()) {
+          double value = 0;
+          if (!read_number(item, low, high, &value)) return false;
+          values.push_back(value);
+        }
+        if (!values.empty() && values.size() != count) return false;
+        *to = std::move(values);
+        return true;
+      },
+      [=] {
+        std::string out = "[";
+        for (const double value : *to) out += (out.size() > 1 ? ", " : "") + decimal(value);
+        return out + "]";
+      }};
 }
 
 Key flag(std::string name, bool* to) {

@@ -81,5 +81,8 @@ Key choice(std::string name, std::vector<std::pair<const char*, Value>> words, V
 /// A list of at most `most` different whole numbers from low to high; it may be empty.
 Key whole_list(std::string name, int low, int high, std::size_t most, std::vector<int>* to);
 
+/// An empty list, or one of `count` numbers from low to high.
+Key number_list(std::string name, std::size_t count, double low, double high, std::vector<double>* to);
+
 }  // namespace keys
 }  // namespace godwit::app

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "firmware_app/link_settings.h"
 #include "hal/rt/frame_pool.h"
 
 namespace godwit::app {
@@ -14,6 +15,39 @@ constexpr std::size_t kLongestPath = 1024;
 void add_thread(const std::string& section, rt::ThreadPlan* plan, std::vector<Key>* to) {
   to->push_back(keys::whole_list(section + ".cpus", 0, kMostCpus - 1, 64, &plan->cpus));
   to->push_back(keys::whole(section + ".priority", 0, kHighestPriority, &plan->priority));
+}
+
+void add_link(Config* c, std::vector<Key>* to) {
+  using Profile = Config::Link::Profile;
+  using Arming = Config::Link::Arming;
+  for (Key& key : std::vector<Key>{
+           keys::text("can.bus", 64, "multicast:N or socketcan:IFACE", &c->can.bus),
+           keys::whole("can.node_id", 0, 125, &c->can.node_id),
+           keys::whole("can.autopilot_node", 1, 125, &c->can.autopilot_node),
+           keys::whole("can.serial_index", 0, 15, &c->can.serial_index),
+           keys::whole("can.baud_rate", 9600, 12'500'000, &c->can.baud_rate),
+           keys::flag("can.fd", &c->can.fd),
+           keys::whole("can.telemetry_rate", 0, 50, &c->can.telemetry_rate),
+           keys::whole("can.telemetry_base", 0, 0x7F0, &c->can.telemetry_base),
+           keys::flag("can.telemetry_fd", &c->can.telemetry_fd),
+
+           keys::text("link.mavlink", 256, "udp:HOST:PORT or serial:DEVICE:BAUD", &c->link.mavlink),
+           keys::choice<Profile>("link.profile", {{"ardupilot", Profile::kArdupilot}, {"px4", Profile::kPx4}},
+                                 &c->link.profile),
+           keys::whole("link.rate", 20, 40, &c->link.rate),
+           keys::whole("link.system_id", 0, 255, &c->link.system_id),
+           keys::choice<Arming>(
+               "link.arming",
+               {{"allow_without_pose", Arming::kAllowWithoutPose}, {"require_pose", Arming::kRequirePose}},
+               &c->link.arming),
+           keys::number_list("link.T_body_cam", 16, -100, 100, &c->link.T_body_cam),
+           keys::number("link.world_heading_deg", -360, 360, "degree", &c->link.world_heading_deg),
+           keys::number_list("link.origin", 3, -20000, 20000, &c->link.origin),
+           keys::flag("link.bench_metric", &c->link.bench_metric),
+           keys::text("link.state_folder", kLongestPath, "a folder", &c->link.state_folder),
+       }) {
+    to->push_back(std::move(key));
+  }
 }
 
 }  // namespace
@@ -29,6 +63,7 @@ std::vector<Key> config_keys(Config* c) {
   add_thread("threads.camera", &c->threads.camera, &out);
   add_thread("threads.tracker", &c->threads.tracker, &out);
   add_thread("threads.mapper", &c->threads.mapper, &out);
+  add_thread("threads.link", &c->threads.link, &out);
   for (Key& key : std::vector<Key>{
            keys::number("scheduler.deadline_ms", 5, 1000, "ms", &c->scheduler.deadline_ms),
            keys::number("scheduler.tracker_p95_ms", 1, 1000, "ms", &c->scheduler.tracker_p95_ms),
@@ -43,6 +78,7 @@ std::vector<Key> config_keys(Config* c) {
        }) {
     out.push_back(std::move(key));
   }
+  add_link(c, &out);
   return out;
 }
 
@@ -60,6 +96,7 @@ void check_contradictions(ConfigReport* report) {
                                                     keys::decimal(c.scheduler.deadline_ms) +
                                                     "): it would act only when it is too late; less is allowed");
   }
+  check_link(report);
 }
 
 }  // namespace godwit::app

@@ -8,6 +8,7 @@
 #include <exception>
 
 #include "firmware_app/commands/check_command.h"
+#include "firmware_app/commands/doctor_command.h"
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/fly_command.h"
 #include "firmware_app/commands/replay_command.h"
@@ -30,9 +31,11 @@ int run(int argc, char** argv) {
   app.require_subcommand(1);
   app.footer(
       "Exit codes: 0 done; 1 failed on the way (output cannot be written); 2 did not start (command line,\n"
-      "configuration, calibration or sequence is wrong); 130 interrupted.");
+      "configuration, calibration or sequence is wrong); 75 restart asked for over the bus; 130 interrupted.");
   CheckArguments check;
   add_check_command(&app, &check);
+  DoctorArguments doctor;
+  add_doctor_command(&app, &doctor);
   ReplayArguments replay;
   add_replay_command(&app, &replay);
   FlyArguments fly;
@@ -45,6 +48,7 @@ int run(int argc, char** argv) {
     return app.exit(e) == 0 ? kExitDone : kExitRefused;
   }
   if (app.got_subcommand("check")) return run_check(check);
+  if (app.got_subcommand("doctor")) return run_doctor(doctor, stop);
   if (app.got_subcommand("fly")) return run_fly(fly, stop);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
   return run_replay(replay, stop);

@@ -52,10 +52,12 @@ struct FrameResult {
   Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world, map units and rad
   double median_depth = 0.0;
   double rms_px = 0.0;
-  bool map_moved = false;   ///< a delta with moved poses was applied before this frame
-  int reason_value = 0;     ///< measured figure behind `reason`
-  int reason_limit = 0;     ///< and its limit
-  const char* reason = "";  ///< why the state is what it is, static text
+  bool map_moved = false;         ///< a delta with moved poses was applied before this frame
+  Vec3 moved_by = Vec3::Zero();   ///< by it the last frame's camera moved in the world [map units]
+  Vec3 turned_by = Vec3::Zero();  ///< and turned: rotation vector along world axes [rad]
+  int reason_value = 0;           ///< measured figure behind `reason`
+  int reason_limit = 0;           ///< and its limit
+  const char* reason = "";        ///< why the state is what it is, static text
   InitReport init;
   StageTimes times;
 };

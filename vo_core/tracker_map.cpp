@@ -51,8 +51,12 @@ void Tracker::apply_deltas(FrameResult* result) {
     if (d->epoch == epoch_ && frame_counter_ < d->sequence + static_cast<std::uint32_t>(options_.delta_delay_frames))
       return;
     if (d->epoch == epoch_) {
+      const SE3 before = last_.T_cam_world.inverse();
       apply(*d);
       result->map_moved |= d->moved_keyframe_count > 0;
+      const SE3 after = last_.T_cam_world.inverse();
+      result->moved_by += after.t - before.t;
+      result->turned_by += so3_log(after.R * before.R.transpose());
     }
     channel_->deltas.pop();
     // One delta a frame: the bound of DESIGN.md. In a sequential run all that are due.

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/link_runner.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/pipeline/odometry_stage.h"
@@ -88,6 +89,13 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
   pipeline.newest_frame = plan.pace == "real";
+  const auto log = [](LinkLogLevel level, const std::string& text) {
+    fmt::print(stderr, "godwit: {}{}\n", level == LinkLogLevel::kWarning ? "warning: " : "", text);
+  };
+  auto link = start_link(config, calibration.T_body_cam, log, stop);
+  if (!link) return refuse(link.error().message);
+  LinkRunner* const autopilot = link.value().get();
+  pipeline.tap = autopilot;
   RunWriter writer;
   auto opened = writer.open(plan.out, pipeline.newest_frame);
   if (!opened) return failed(opened.error().message);
@@ -95,17 +103,27 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   {
     ProgressBar bar(plan.total);
     ShowingSink sink(&writer, &bar);
-    run = run_pipeline(camera, stage.get(), pool.value().get(), pipeline, &sink, stop);
+    run = run_pipeline(camera, stage.get(), pool.value().get(), pipeline, &sink,
+                       autopilot != nullptr ? autopilot->stop() : stop);
   }
   if (!run) return failed(run.error().message);
   if (stop.load(std::memory_order_relaxed)) {
     fmt::print(stderr, "godwit: interrupted; nothing was written\n");
     return kExitInterrupted;
   }
-  auto finished =
-      writer.finish({GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads", plan.pace, plan.start});
+  if (autopilot != nullptr && autopilot->restart_due()) {
+    fmt::print(stderr, "godwit: restart asked for over the bus; nothing was written\n");
+    return kExitRestart;
+  }
+  RunDescription description{GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads",
+                             plan.pace,      plan.start,  ""};
+  if (autopilot != nullptr) description.link = link_report_json(autopilot->finish());
+  auto finished = writer.finish(description);
   if (!finished) return failed(finished.error().message);
   tell(writer, plan.out);
+  if (autopilot != nullptr) {
+    for (const std::string& line : link_report(autopilot->finish())) fmt::print("link: {}\n", line);
+  }
   return kExitDone;
 }
 

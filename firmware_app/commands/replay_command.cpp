@@ -8,7 +8,10 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/config.h"
+#include "firmware_app/link/byte_port.h"
+#include "firmware_app/link_settings.h"
 #include "hal/camera/replay/replay_camera.h"
+#include "hal/can/can_bus.h"
 
 namespace godwit::app {
 namespace {
@@ -68,6 +71,40 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
   on_off("--gate", &a->gate, "Find what moves by geometry and leave it out");
   on_off("--imu", &a->imu, "Use the sequence's IMU");
   command->add_option("--model", a->model, "The detector's network")->type_name("FILE");
+  add_link_options(command, &a->can, &a->mavlink);
+  command->add_flag("--bench-metric", a->bench_metric,
+                    "The map's lengths pass for metres and its start for level, so that the autopilot takes the poses "
+                    "as good ones; for the bench only");
+}
+
+void add_link_options(CLI::App* command, std::string* can, std::string* mavlink) {
+  command
+      ->add_option("--can", *can,
+                   "CAN bus to the autopilot: multicast:N (UDP, as ArduPilot's simulator) or socketcan:IFACE")
+      ->type_name("BUS");
+  command->add_option("--mavlink", *mavlink, "MAVLink beside the bus: udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD")
+      ->type_name("PORT");
+}
+
+bool take_link_options(const std::string& can, const std::string& mavlink, Config* config) {
+  if (can.empty() && mavlink.empty()) return true;
+  if (const auto known = hal::check_can_address(can); !can.empty() && !known) {
+    refuse("--can: " + known.error().message);
+    return false;
+  }
+  if (const auto known = link::check_byte_port_address(mavlink); !mavlink.empty() && !known) {
+    refuse("--mavlink: " + known.error().message);
+    return false;
+  }
+  ConfigReport report;
+  report.config = *config;
+  report.file = "with --can, --mavlink";
+  if (!can.empty()) report.config.can.bus = can;
+  if (!mavlink.empty()) report.config.link.mavlink = mavlink;
+  check_link(&report);
+  for (const std::string& mistake : report.mistakes) refuse(mistake);
+  *config = report.config;
+  return report.ok();
 }
 
 bool check_run_arguments(const ReplayArguments& a, Config* config) {
@@ -80,11 +117,23 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--sequential has no pace: leave --pace real out");
     return false;
   }
-  if (a.config_file.empty()) return true;
-  const ConfigReport report = load_config(a.config_file);
-  for (const std::string& mistake : report.mistakes) refuse(mistake);
-  *config = report.config;
-  return report.ok();
+  if (!a.config_file.empty()) {
+    const ConfigReport report = load_config(a.config_file);
+    for (const std::string& mistake : report.mistakes) refuse(mistake);
+    if (!report.ok()) return false;
+    *config = report.config;
+  }
+  if (!take_link_options(a.can, a.mavlink, config)) return false;
+  if (a.bench_metric) config->link.bench_metric = true;
+  if (a.bench_metric && !wants_link(*config)) {
+    refuse("--bench-metric: there is nobody to tell; it goes with --can or --mavlink, or with the configuration's");
+    return false;
+  }
+  if (wants_link(*config) && a.pace != "real") {
+    refuse("--can, --mavlink: an autopilot takes poses when they happen; add --pace real");
+    return false;
+  }
+  return true;
 }
 
 int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {

@@ -20,6 +20,8 @@ struct ReplayArguments {
   std::int64_t frames = 0;  ///< 0: all
   std::string detector = "off", gate = "off", imu = "off";
   std::string model;
+  std::string can, mavlink;  ///< empty: as configured
+  bool bench_metric = false;
 };
 
 /// Describes the command to the parser; *arguments outlives it.
@@ -27,6 +29,10 @@ void add_replay_command(CLI::App* app, ReplayArguments* arguments);
 
 /// The options that every command has that runs a camera through the pipeline: all but SEQUENCE.
 void add_run_options(CLI::App* command, ReplayArguments* arguments);
+/// --can and --mavlink, which every command has that speaks to an autopilot.
+void add_link_options(CLI::App* command, std::string* can, std::string* mavlink);
+/// Puts them, where given, over what the configuration says; tells what is wrong. False: refused.
+bool take_link_options(const std::string& can, const std::string& mavlink, Config* config);
 /// Tells what is wrong with them, or reads the configuration they name into *config. False: refused.
 bool check_run_arguments(const ReplayArguments& arguments, Config* config);
 

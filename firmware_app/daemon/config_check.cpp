@@ -36,6 +36,7 @@ void check_on_this_machine(ConfigReport* report) {
   check_cpus("threads.camera", c.threads.camera, report);
   check_cpus("threads.tracker", c.threads.tracker, report);
   check_cpus("threads.mapper", c.threads.mapper, report);
+  check_cpus("threads.link", c.threads.link, report);
   const int slots = c.pipeline.frame_slots;
   if (slots != 0 && slots < odometry_frame_slots_min()) {
     report->mistake("pipeline.frame_slots", std::to_string(slots) + " are too few to fly with; 0 or at least " +
@@ -49,6 +50,11 @@ void check_for_daemon(ConfigReport* report) {
   check_on_this_machine(report);
   if (report->config.camera.source == Config::Camera::Source::kNone)
     report->mistake("camera.source", "a daemon needs a camera; \"sim\" is allowed");
+  if (report->config.link.bench_metric) {
+    report->mistake("link.bench_metric",
+                    "in flight an autopilot would take lengths of unknown scale for metres; only false "
+                    "is allowed");
+  }
   report->sort();
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/link_runner.h"
 #include "firmware_app/pipeline/arming.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/sim/flight_calibration.h"
@@ -110,10 +111,24 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   options.newest_frame = true;
   options.machine = &machine;
   plan_pipeline(config, calibration.fps, &options);
+  const auto log = [](LinkLogLevel level, const std::string& text) {
+    say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
+  };
+  auto link = start_link(config, calibration.T_body_cam, log, stop);
+  if (!link) return give_up(link.error().message);
+  LinkRunner* const autopilot = link.value().get();
+  options.tap = autopilot;
   Journal journal(arm_memory(config));
-  const auto run = run_pipeline(source.value().camera.get(), stage.get(), pool.value().get(), options, &journal, stop);
+  const auto run = run_pipeline(source.value().camera.get(), stage.get(), pool.value().get(), options, &journal,
+                                autopilot != nullptr ? autopilot->stop() : stop);
   if (!run) return give_up(run.error().message);
   tell(run.value(), journal.tracked());
+  if (autopilot == nullptr) return kExitDone;
+  for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
+  if (autopilot->restart_due()) {
+    say("restart asked for over the bus");
+    return kExitRestart;
+  }
   return kExitDone;
 }
 

@@ -190,6 +190,7 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
   line("ms", json_statistics(s.ms));
   line("thread_cpu_ms", json_statistics(s.thread_cpu_ms));
   line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
+  if (!d.link.empty()) line("link", d.link);
   j += fmt::format("  \"peak_memory_mb\": {:.1f}\n}}\n", peak_memory_mb());
   auto written = summary_.write(j);
   // All to the disk before the first gets its name: a disk that fills up at the second would leave one file of a failed

@@ -18,6 +18,7 @@ struct RunDescription {
   std::string mode;  ///< "sequential" or "threads"
   std::string pace;  ///< "max" or "real"
   std::int64_t start = 0;
+  std::string link;  ///< what the autopilot link says of itself, as a JSON object; empty: there was none
 };
 
 /// The figures of summary.json.

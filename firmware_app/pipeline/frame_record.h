@@ -52,7 +52,10 @@ struct FrameRecord {
   bool tracked = false;   ///< at least 30 image measurements updated the pose
   bool has_pose = false;  ///< a pose was given out: tracked or coasted
   bool is_keyframe = false;
-  bool map_moved = false;     ///< a bundle adjustment moved the map before this frame
+  bool map_moved = false;  ///< a bundle adjustment moved the map before this frame
+  /// By that the last frame's camera moved in the world, and turned (rotation vector along world axes).
+  std::array<double, 3> moved_by{};
+  std::array<double, 3> turned_by{};
   std::uint32_t map_id = 0;   ///< counts from 1; 0: no map
   std::int32_t features = 0;  ///< image measurements behind the pose
   rt::TimeNs t_source_ns = 0;

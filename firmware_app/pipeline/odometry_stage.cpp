@@ -85,6 +85,8 @@ class OdometryStage final : public FrameStage {
     record->has_pose = result.tracked || result.state == vo::State::kCoasting;
     record->is_keyframe = result.is_keyframe;
     record->map_moved = result.map_moved;
+    Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = result.moved_by;
+    Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = result.turned_by;
     record->map_id = result.map_id;
     record->features = result.measurements;
     record->state = vo::state_name(result.state);

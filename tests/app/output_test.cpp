@@ -162,7 +162,7 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   coasted.state = "COASTING";
   for (const FrameRecord& r : {first, tracked_frame(1), bad, coasted, tracked_frame(4)})
     ASSERT_TRUE(writer.take(r).ok());
-  ASSERT_TRUE(writer.finish({"1.2.3", "a \"quoted\" folder", "sequential", "max", 7}).ok());
+  ASSERT_TRUE(writer.finish({"1.2.3", "a \"quoted\" folder", "sequential", "max", 7, ""}).ok());
 
   const auto trajectory = lines_of(read_file(folder / "out/trajectory.tum"));
   ASSERT_EQ(trajectory.size(), 3u) << "a comment and two tracked frames";

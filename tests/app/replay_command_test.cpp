@@ -187,4 +187,39 @@ TEST_F(Replay, TwoSequentialRunsAreEqualToTheBit) {
   EXPECT_EQ(first, read_file(out() + "/trajectory.tum") + read_file(out() + "/pose.csv"));
 }
 
+TEST_F(Replay, LinkOptionsThatCannotBeFollowedAreRefusedWithTheReason) {
+  const auto refused = [&](const std::string& more, const std::string& why) {
+    const Outcome outcome = replay(more);
+    EXPECT_EQ(outcome.exit_code, 2) << more;
+    EXPECT_THAT(outcome.text, HasSubstr(why)) << more;
+    EXPECT_FALSE(fs::exists(out() + "/summary.json")) << more;
+  };
+  refused("--pace real --can foo", "--can: CAN bus \"foo\": expected multicast:N or socketcan:IFACE");
+  refused("--pace real --can multicast:77", "multicast takes a bus number 0 to 9");
+  refused("--pace real --can multicast:0:nowhere", "is no IPv4 address of a network interface");
+  refused("--pace real --can socketcan:nosuch0", "CAN bus socketcan:nosuch0: ");
+  refused("--pace real --mavlink serial:/dev/nosuch:921600", "/dev/nosuch: No such file or directory");
+  refused("--pace real --mavlink serial:/dev/null:1234", "the baud rate must be");
+  refused("--pace real --mavlink udp:here:14550", "here is no IPv4 address");
+  refused("--can multicast:0", "add --pace real");
+  refused("--sequential --can multicast:0", "add --pace real");
+  refused("--pace real --bench-metric", "it goes with --can or --mavlink");
+  write_file(folder_ / "px4.toml", "[link]\nprofile = \"px4\"\n");
+  refused("--pace real --can multicast:0 --config " + (folder_ / "px4.toml"), "PX4 takes no MAVLink through CAN");
+  write_file(folder_ / "state.toml", "[link]\nstate_folder = \"/no/such/folder\"\n");
+  refused("--pace real --can multicast:9:127.0.0.1 --config " + (folder_ / "state.toml"),
+          "state folder /no/such/folder: No such file or directory");
+}
+
+// Nobody listens; what is sent is looked at by the tests of the link.
+TEST_F(Replay, TheLinksFiguresAreInTheSummary) {
+  const Outcome outcome = replay("--pace real --can multicast:9:127.0.0.1");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.text;
+  EXPECT_THAT(outcome.text, HasSubstr("link: the camera looks front, the top of its picture is up"));
+  EXPECT_THAT(outcome.text, HasSubstr("ODOMETRY sent"));
+  EXPECT_THAT(read_file(out() + "/summary.json"), HasSubstr("\"link\": {\"node_id\": 42, \"odometry_sent\": "));
+  ASSERT_EQ(replay("").exit_code, 0);
+  EXPECT_THAT(read_file(out() + "/summary.json"), Not(HasSubstr("\"link\"")));
+}
+
 }  // namespace

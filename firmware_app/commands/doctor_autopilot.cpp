@@ -1,0 +1,200 @@
+#include "firmware_app/commands/doctor_autopilot.h"
+
+#include <array>
+#include <poll.h>
+#include <thread>
+#include <unistd.h>
+
+#include "firmware_app/link/doctor.h"
+#include "firmware_app/link_settings.h"
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/pipeline/pipeline.h"
+#include "firmware_app/pipeline/pose_sampler.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr rt::TimeNs kWaitForAutopilotNs = 5 * rt::kNsPerSecond;
+constexpr rt::TimeNs kFreshNs = rt::kNsPerSecond;
+
+void step(link::LinkService* service) {
+  service->wait(5 * rt::kNsPerMs);
+  service->step(rt::monotonic_now_ns());
+  service->serve_storage();
+}
+
+const char* severity_text(link::Severity severity) {
+  return severity == link::Severity::kWarning ? "works, but: " : "";
+}
+
+/// The newest attitude of the odometry, handed from its thread to ours.
+class AttitudeTap final : public FrameTap {
+ public:
+  explicit AttitudeTap(const Eigen::Matrix3d& R_body_cam) : sampler_(world_of_level_start(R_body_cam)) {}
+  void frame_done(const FrameRecord& record) override { samples_.write(sampler_.sample(record)); }
+  bool newest(link::PoseSample* sample) {
+    if (samples_.read(&kept_)) any_ = true;
+    *sample = kept_;
+    return any_;
+  }
+
+ private:
+  PoseSampler sampler_;
+  rt::TripleBuffer<link::PoseSample> samples_;
+  link::PoseSample kept_;
+  bool any_ = false;
+};
+
+class NoSink final : public FrameSink {
+ public:
+  rt::Result<void> take(const FrameRecord&) override { return {}; }
+};
+
+/// True when a line came; *end: standard input is at its end.
+bool line_came(bool* end) {
+  pollfd event{STDIN_FILENO, POLLIN, 0};
+  if (poll(&event, 1, 0) <= 0) return false;
+  std::array<char, 256> text{};
+  const ssize_t n = read(STDIN_FILENO, text.data(), text.size());
+  *end = n <= 0;
+  return n > 0;
+}
+
+/// Asks for each step and takes both attitudes when Enter is pressed. Error: it could not be finished.
+rt::Result<link::TiltTest> guide(link::LinkService* service, AttitudeTap* ours, const link::OdometryConfig& mounting,
+                                 const std::atomic<bool>& stop) {
+  link::TiltTest test;
+  Eigen::Vector4d autopilot = Eigen::Vector4d::Zero();
+  rt::TimeNs t_autopilot_ns = 0;
+  bool ask = true;
+  while (test.step() != link::TiltTest::Step::kDone) {
+    if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};
+    if (ask) {
+      fmt::print("      {} Then press Enter.\n", link::TiltTest::instruction(test.step()));
+      std::fflush(stdout);
+      ask = false;
+    }
+    step(service);
+    link::AutopilotInput input;
+    while (service->take_input(&input)) {
+      if (input.kind != link::InputKind::kAttitude) continue;
+      autopilot = Eigen::Vector4d(input.value.data());
+      t_autopilot_ns = input.t_arrival_ns;
+    }
+    bool end = false;
+    if (!line_came(&end)) {
+      if (end) return rt::Error{"standard input ended before the test did"};
+      continue;
+    }
+    ask = true;
+    const rt::TimeNs now = rt::monotonic_now_ns();
+    link::PoseSample sample;
+    if (t_autopilot_ns == 0 || now - t_autopilot_ns > kFreshNs) {
+      fmt::print("      The autopilot does not send its attitude (ATTITUDE_QUATERNION).\n");
+      continue;
+    }
+    const bool tracked =
+        ours->newest(&sample) && sample.state == link::PoseState::kTracking && now - sample.t_capture_ns < kFreshNs;
+    if (!tracked) {
+      fmt::print("      The camera has no pose: let it see something with texture and move it a little sideways.\n");
+      continue;
+    }
+    const auto held = test.hold(autopilot, link::body_pose(sample, mounting).q);
+    if (!held) fmt::print("      {}\n", held.error().message);
+  }
+  return test;
+}
+
+}  // namespace
+
+std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const hal::CameraCalibration& calibration,
+                                                     std::optional<int> viso_delay_ms, DoctorReport* report,
+                                                     const std::atomic<bool>& stop) {
+  link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
+  settings.link.first_pose_timeout_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
+  settings.link.mavlink.attitude_hz = 20;
+  auto opened = link::LinkService::open(settings);
+  if (!opened) {
+    report->wrong(opened.error().message);
+    return nullptr;
+  }
+  std::unique_ptr<link::LinkService> service = std::move(opened).value();
+  report->note("mounting: " + mounting_words(settings.link.odometry.R_body_cam));
+  link::LinkNode& node = service->node();
+  const auto running = [&](rt::TimeNs end) {
+    return rt::monotonic_now_ns() < end && !stop.load(std::memory_order_relaxed);
+  };
+  const rt::TimeNs give_up = rt::monotonic_now_ns() + kWaitForAutopilotNs;
+  while (running(give_up) && !node.endpoint().autopilot_alive(rt::monotonic_now_ns())) step(service.get());
+  const bool through_bus = config.link.mavlink.empty();
+  if (!node.endpoint().autopilot_alive(rt::monotonic_now_ns())) {
+    report->wrong(
+        through_bus ? fmt::format("autopilot: no HEARTBEAT through the tunnel in 5 s. Is its node id {} (can.autopilot_"
+                                  "node, CAN_D1_UC_NODE)? Set CAN_P1_DRIVER 1, CAN_D1_PROTOCOL 1, CAN_D1_UC_SER_EN 1, "
+                                  "restart it, then CAN_D1_UC_S1_NOD {}, CAN_D1_UC_S1_IDX {}, CAN_D1_UC_S1_PRO 2",
+                                  config.can.autopilot_node, config.can.node_id, config.can.serial_index)
+                    : "autopilot: no HEARTBEAT on " + config.link.mavlink + " in 5 s: wiring, baud rate, port");
+    return service;
+  }
+  report->fits("autopilot: its HEARTBEAT comes");
+  if (config.link.profile == Config::Link::Profile::kPx4) {
+    report->note("autopilot: parameters of PX4 are not looked at; docs/px4.md lists them");
+    return service;
+  }
+  link::ParameterReader reader(link::doctor_parameters());
+  const rt::TimeNs give_up_reading = rt::monotonic_now_ns() + 90 * rt::kNsPerSecond;
+  while (running(give_up_reading) && !reader.step(&node.endpoint(), rt::monotonic_now_ns())) step(service.get());
+  link::DoctorConfig looked_for;
+  looked_for.node_id = config.can.node_id;
+  looked_for.serial_index = config.can.serial_index;
+  looked_for.through_tunnel = through_bus;
+  looked_for.t_body_cam = settings.link.odometry.t_body_cam;
+  looked_for.viso_delay_ms = viso_delay_ms;
+  const std::vector<link::Finding> findings = link::diagnose(reader.values(), looked_for);
+  for (const link::Finding& finding : findings) {
+    report->wrong("autopilot: " + std::string(severity_text(finding.severity)) + finding.words);
+  }
+  if (findings.empty()) {
+    report->fits(fmt::format("autopilot: its {} parameters fit", reader.values().size()));
+  }
+  if (!viso_delay_ms) {
+    report->note("VISO_DELAY_MS was not compared: fly or replay once, then give what it told by --delay-ms");
+  }
+  return service;
+}
+
+void tilt_test(const Config& config, DoctorCamera* camera, link::LinkService* service, DoctorReport* report,
+               const std::atomic<bool>& stop) {
+  auto model = make_camera_model(camera->calibration);
+  if (!model) return report->wrong("tilt test: " + model.error().message);
+  rt::FramePool::Layout layout;
+  layout.width = camera->calibration.width;
+  layout.height = camera->calibration.height;
+  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
+  layout.slots = odometry_frame_slots();
+  layout.readers = kFrameReaders;
+  auto pool = rt::FramePool::create(layout);
+  if (!pool) return report->wrong("tilt test: " + pool.error().message);
+  const auto stage = make_odometry_stage(model.value(), odometry_options(camera->calibration), pool.value().get());
+  link::OdometryConfig mounting = link_settings(config, camera->calibration.T_body_cam).link.odometry;
+  mounting.bench_metric = true;  // the test begins level, and looks at attitudes alone
+  AttitudeTap tap(mounting.R_body_cam);
+  PipelineOptions options;
+  options.newest_frame = true;
+  options.tap = &tap;
+  NoSink sink;
+  std::atomic<bool> done{false};
+  std::thread pipeline([&] {
+    const auto run = run_pipeline(camera->camera.get(), stage.get(), pool.value().get(), options, &sink, done);
+    static_cast<void>(run.ok());  // the sink refuses nothing
+  });
+  const auto test = guide(service, &tap, mounting, stop);
+  done.store(true, std::memory_order_relaxed);
+  pipeline.join();
+  if (!test) return report->wrong("tilt test: " + test.error().message);
+  const std::vector<std::string> mistakes = test.value().result();
+  for (const std::string& mistake : mistakes) report->wrong("tilt test: " + mistake);
+  if (mistakes.empty()) report->fits("tilt test: the mounting agrees with the autopilot's attitude");
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,23 @@
+// `godwit doctor`: the autopilot at the other end, its parameters, and the guided tilt test.
+#pragma once
+
+#include <atomic>
+#include <memory>
+
+#include "firmware_app/commands/doctor_machine.h"
+#include "firmware_app/link/link_service.h"
+
+namespace godwit::app {
+
+/// Opens the link (which sends no pose), waits for an autopilot, reads the parameters that matter and says which do not
+/// fit. viso_delay_ms: as a flight told it; absent: not compared. Null where nothing could be opened.
+std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const hal::CameraCalibration& calibration,
+                                                     std::optional<int> viso_delay_ms, DoctorReport* report,
+                                                     const std::atomic<bool>& stop);
+
+/// Guides through the tilt test: the camera tracks in the background, the user moves the vehicle and presses Enter.
+/// Reads standard input.
+void tilt_test(const Config& config, DoctorCamera* camera, link::LinkService* service, DoctorReport* report,
+               const std::atomic<bool>& stop);
+
+}  // namespace godwit::app

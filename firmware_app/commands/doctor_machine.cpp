@@ -1,0 +1,181 @@
+#include "firmware_app/commands/doctor_machine.h"
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <poll.h>
+#include <vector>
+
+#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/sim/flight_calibration.h"
+#include "hal/camera/replay/replay_camera.h"
+#include "hal/can/can_bus.h"
+#include "hal/can/can_link.h"
+#include "hal/rt/frame_pool.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr int kPictures = 30;
+constexpr rt::TimeNs kPatienceNs = 2 * rt::kNsPerSecond;
+constexpr double kRateTolerance = 0.1;
+
+/// Pictures that came in time, and their rate by capture times; 0 with fewer than two.
+struct Taken {
+  int pictures = 0;
+  int bad = 0;
+  double rate_hz = 0;
+  std::string why;
+};
+
+Taken take_pictures(hal::Camera* camera) {
+  Taken taken;
+  rt::FramePool::Layout layout;
+  layout.width = camera->width();
+  layout.height = camera->height();
+  layout.slots = 1;
+  layout.readers = 1;
+  auto pool = rt::FramePool::create(layout);
+  if (!pool) {
+    taken.why = pool.error().message;
+    return taken;
+  }
+  const int slot = pool.value()->acquire();
+  const rt::TimeNs give_up = rt::monotonic_now_ns() + kPatienceNs;
+  rt::TimeNs first = 0, last = 0;
+  while (taken.pictures < kPictures && rt::monotonic_now_ns() < give_up) {
+    hal::CapturedFrame frame;
+    const auto status = camera->next(pool.value()->grey(slot), nullptr, 100 * rt::kNsPerMs, &frame, &taken.why);
+    if (status == hal::CameraStatus::kEnd) break;
+    if (status == hal::CameraStatus::kBadFrame) ++taken.bad;
+    if (status != hal::CameraStatus::kFrame) continue;
+    if (taken.pictures++ == 0) first = frame.t_capture_ns;
+    last = frame.t_capture_ns;
+  }
+  if (taken.pictures > 1) taken.rate_hz = (taken.pictures - 1) / rt::to_seconds(last - first);
+  return taken;
+}
+
+void judge(const std::string& name, hal::Camera* camera, const hal::CameraCalibration& calibration,
+           DoctorReport* report) {
+  const Taken taken = take_pictures(camera);
+  if (taken.pictures == 0) {
+    report->wrong(name + ": no picture came within 2 s" + (taken.why.empty() ? "" : ": " + taken.why));
+    return;
+  }
+  report->fits(fmt::format("{}: opens, {} x {} pixels, {:.1f} pictures a second", name, camera->width(),
+                           camera->height(), taken.rate_hz));
+  if (taken.bad > 0) report->wrong(fmt::format("{}: {} bad pictures: {}", name, taken.bad, taken.why));
+  if (calibration.width != camera->width() || calibration.height != camera->height()) {
+    report->wrong(fmt::format("{}: its calibration is for {} x {} pixels: calibrate at the size that is flown", name,
+                              calibration.width, calibration.height));
+  } else if (const auto model = make_camera_model(calibration); !model) {
+    report->wrong(name + ": calibration: " + model.error().message);
+  } else {
+    report->fits(name + ": the calibration fits its size");
+  }
+  if (calibration.fps > 0 && taken.rate_hz > 0 && std::abs(taken.rate_hz / calibration.fps - 1) > kRateTolerance) {
+    report->wrong(
+        fmt::format("{}: {:.1f} pictures a second, its calibration says {:.1f}", name, taken.rate_hz, calibration.fps));
+  }
+  if (taken.rate_hz > 0 && taken.rate_hz < 20) {
+    report->wrong(fmt::format("{}: {:.1f} pictures a second; an autopilot wants 20 to 40", name, taken.rate_hz));
+  }
+}
+
+}  // namespace
+
+DoctorCamera examine_camera(const Config& config, const std::string& sequence, DoctorReport* report) {
+  DoctorCamera out;
+  if (!sequence.empty()) {
+    hal::ReplayOptions options;
+    options.pace = hal::ReplayOptions::Pace::kReal;
+    auto camera = hal::ReplayCamera::open(sequence, options);
+    if (!camera) {
+      report->wrong("camera: " + camera.error().message);
+      return out;
+    }
+    out.calibration = camera.value()->calibration();
+    judge("camera (sequence " + sequence + ")", camera.value().get(), out.calibration, report);
+    out.camera = std::move(camera).value();
+    return out;
+  }
+  if (config.camera.source == Config::Camera::Source::kNone) {
+    report->wrong("camera: none is configured (camera.source is \"none\"): godwitd would not start");
+    return out;
+  }
+  const auto scenario = sim::find_scenario(config.camera.scenario, config.camera.scenarios);
+  if (!scenario) {
+    report->wrong("camera: " + scenario.error().message);
+    return out;
+  }
+  out.flight = std::make_unique<sim::Flight>(scenario.value(), config.camera.seed);
+  out.calibration = calibration_of(*out.flight);
+  out.camera = out.flight->camera(0);
+  judge("camera (simulated, " + config.camera.scenario + ")", out.camera.get(), out.calibration, report);
+  return out;
+}
+
+void examine_imu(const std::string& root, DoctorReport* report) {
+  namespace fs = std::filesystem;
+  std::vector<std::string> found;
+  std::error_code ignored;
+  for (const auto& entry : fs::directory_iterator(root + "/sys/bus/iio/devices", ignored)) {
+    std::string name;
+    std::ifstream(entry.path() / "name") >> name;
+    const bool turns = fs::exists(entry.path() / "in_anglvel_x_raw", ignored);
+    if (turns) found.push_back("IIO device " + entry.path().filename().string() + " (" + name + ")");
+  }
+  for (const auto& entry : fs::directory_iterator(root + "/dev", ignored)) {
+    const std::string name = entry.path().filename();
+    if (name.starts_with("spidev")) found.push_back("SPI port /dev/" + name);
+  }
+  std::string list;
+  for (const std::string& one : found) list += (list.empty() ? "" : ", ") + one;
+  report->note("inertial sensor: none is configured, and none is needed; this machine has " +
+               (list.empty() ? "none" : list));
+}
+
+void examine_bus(const Config& config, DoctorReport* report) {
+  const std::string name = "bus " + config.can.bus;
+  auto bus = hal::open_can(config.can.bus);
+  if (!bus) {
+    report->wrong(bus.error().message);
+    return;
+  }
+  hal::CanBus& can = *bus.value();
+  for (const std::string& advice : can.advice()) report->wrong(advice);
+  if (can.bit_rate() != 0 && can.bit_rate() != 1'000'000) {
+    report->wrong(
+        fmt::format("{}: {} bit/s; ArduPilot's default is 1000000 (CAN_P1_BITRATE), and slower ones cannot carry "
+                    "30 poses a second",
+                    name, can.bit_rate()));
+  }
+  if (config.can.fd && !can.supports_fd()) {
+    report->wrong(name + ": can.fd is true, but the interface is not set to CAN FD (ip link set ... fd on)");
+  }
+  bool twice = false;
+  int frames = 0;
+  const rt::TimeNs end = rt::monotonic_now_ns() + 1200 * rt::kNsPerMs;
+  for (rt::TimeNs now = 0; (now = rt::monotonic_now_ns()) < end && frames < 100'000;) {
+    can.maintain(now);
+    hal::CanFrame frame;
+    while (can.receive(&frame) && ++frames < 100'000) {
+      twice = twice || (frame.extended && (frame.id & 0x7FU) == static_cast<std::uint32_t>(config.can.node_id));
+    }
+    pollfd event{can.descriptor(), POLLIN, 0};
+    poll(&event, 1, 20);
+  }
+  if (twice && config.can.node_id != 0) {
+    report->wrong(
+        fmt::format("{}: somebody is there as node {} already: stop godwitd first (systemctl stop godwitd), or "
+                    "change can.node_id",
+                    name, config.can.node_id));
+  } else if (can.state() == hal::CanState::kActive || can.state() == hal::CanState::kWarning) {
+    report->fits(fmt::format("{}: open, {} frames of others in 1.2 s", name, frames));
+  } else {
+    report->wrong(name + ": no contact (down, off or error-passive): wiring, termination, bit rate");
+  }
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,150 @@
+#include "firmware_app/link_runner.h"
+
+#include <cmath>
+#include <pthread.h>
+
+#include "firmware_app/link_settings.h"
+#include "hal/rt/rt_scope.h"
+#include "hal/rt/wake_up.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr rt::TimeNs kStepNs = 5 * rt::kNsPerMs;
+constexpr rt::TimeNs kKeeperPeriodNs = 50 * rt::kNsPerMs;
+constexpr rt::TimeNs kReportPeriodNs = 60 * rt::kNsPerSecond;
+
+const char* bus_state_text(hal::CanState state) {
+  switch (state) {
+    case hal::CanState::kActive:
+      return "on";
+    case hal::CanState::kWarning:
+      return "counting errors";
+    case hal::CanState::kPassive:
+      return "error-passive: nobody acknowledges, or the wiring is bad";
+    case hal::CanState::kBusOff:
+      return "off after too many errors";
+    case hal::CanState::kGone:
+      return "gone";
+  }
+  return "unknown";
+}
+
+}  // namespace
+
+rt::Result<std::unique_ptr<LinkRunner>> LinkRunner::start(const LinkRunnerOptions& options,
+                                                          const std::atomic<bool>& user_stop) {
+  auto service = link::LinkService::open(options.settings);
+  if (!service.ok()) return service.error();
+  std::unique_ptr<LinkRunner> self(new LinkRunner(options, std::move(service).value(), user_stop));
+  for (const std::string& advice : self->service_->advice()) self->tell(LinkLogLevel::kWarning, advice);
+  if (auto started = self->start_threads(); !started.ok()) return started.error();
+  return self;
+}
+
+rt::Result<void> LinkRunner::start_threads() {
+  if (auto started = link_thread_.start("gw-link", options_.thread, [this] { run_link(); }); !started.ok()) {
+    return started.error();
+  }
+  if (!link_thread_.warning().empty()) tell(LinkLogLevel::kWarning, link_thread_.warning());
+  keeper_thread_ = std::thread([this] { run_keeper(); });
+  return {};
+}
+
+LinkRunner::LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::LinkService> service,
+                       const std::atomic<bool>& user_stop)
+    : options_(options),
+      service_(std::move(service)),
+      sampler_(world_of_level_start(options.settings.link.odometry.R_body_cam)),
+      user_stop_(user_stop) {
+  t_next_report_ns_ = rt::monotonic_now_ns() + kReportPeriodNs;
+  told_.bus_state = hal::CanState::kActive;
+}
+
+LinkRunner::~LinkRunner() {
+  finish();
+}
+
+const link::LinkStatus& LinkRunner::finish() {
+  ending_.store(true, std::memory_order_relaxed);
+  link_thread_.join();
+  if (keeper_thread_.joinable()) keeper_thread_.join();
+  service_->take_status(&status_);
+  return status_;
+}
+
+void LinkRunner::frame_done(const FrameRecord& record) {
+  service_->publish(sampler_.sample(record));
+}
+
+void LinkRunner::run_link() {
+  // After RestartNode it goes on, so that the answer is sent and the node is seen until the process ends.
+  while (!ending_.load(std::memory_order_relaxed)) {
+    service_->wait(kStepNs);
+    const rt::RtScope real_time;
+    service_->step(rt::monotonic_now_ns());
+    if (service_->node().restart_due()) restart_due_.store(true, std::memory_order_relaxed);
+  }
+}
+
+void LinkRunner::run_keeper() {
+  pthread_setname_np(pthread_self(), "gw-link-keep");
+  while (!ending_.load(std::memory_order_relaxed)) {
+    service_->serve_storage();
+    const std::string& error = service_->storage_error();
+    if (error != told_storage_error_ && !options_.settings.state_folder.empty()) {
+      told_storage_error_ = error;
+      tell(LinkLogLevel::kWarning, error);
+    }
+    if (const rt::TimeNs now = rt::monotonic_now_ns(); now >= t_next_health_ns_) {
+      t_next_health_ns_ = now + rt::kNsPerSecond;
+      link::SystemHealth health;
+      const double temperature_c = machine_.read().temperature_c;
+      if (std::isfinite(temperature_c)) health.temperature_c = static_cast<float>(temperature_c);
+      service_->publish(health);
+    }
+    if (service_->take_status(&status_)) watch(status_);
+    if (user_stop_.load(std::memory_order_relaxed) || restart_due()) stop_.store(true, std::memory_order_relaxed);
+    rt::sleep_until_ns(rt::monotonic_now_ns() + kKeeperPeriodNs);
+  }
+  service_->serve_storage();
+}
+
+void LinkRunner::watch(const link::LinkStatus& s) {
+  if (s.autopilot_alive != told_.autopilot_alive) {
+    tell(s.autopilot_alive ? LinkLogLevel::kInfo : LinkLogLevel::kWarning,
+         s.autopilot_alive ? "an autopilot is there" : "the autopilot fell silent (no HEARTBEAT for 3 s)");
+  }
+  if (s.bus_state != told_.bus_state && s.bus.sent + s.bus.received + s.bus.send_failed > 0) {
+    tell(s.bus_state == hal::CanState::kActive ? LinkLogLevel::kInfo : LinkLogLevel::kWarning,
+         std::string("the bus is ") + bus_state_text(s.bus_state));
+  }
+  if (s.latency.grew && !told_.latency.grew) {
+    tell(LinkLogLevel::kWarning, "the latency grew: set VISO_DELAY_MS anew, or find what slows this computer down");
+  }
+  const rt::TimeNs now = rt::monotonic_now_ns();
+  if (now >= t_next_report_ns_ || (s.latency.grew && !told_.latency.grew)) {
+    t_next_report_ns_ = now + kReportPeriodNs;
+    for (const std::string& line : link_report(s)) tell(LinkLogLevel::kInfo, line);
+  }
+  told_ = s;
+}
+
+rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
+                                                   const std::optional<std::array<double, 16>>& T_body_cam,
+                                                   const LinkLog& log, const std::atomic<bool>& user_stop) {
+  if (!wants_link(config)) return std::unique_ptr<LinkRunner>();
+  LinkRunnerOptions options;
+  options.settings = link_settings(config, T_body_cam);
+  options.thread = config.threads.link;
+  options.log = log;
+  auto link = LinkRunner::start(options, user_stop);
+  if (link.ok()) log(LinkLogLevel::kInfo, "link: " + mounting_words(options.settings.link.odometry.R_body_cam));
+  return link;
+}
+
+void LinkRunner::tell(LinkLogLevel level, const std::string& text) const {
+  if (options_.log) options_.log(level, "link: " + text);
+}
+
+}  // namespace godwit::app

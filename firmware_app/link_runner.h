@@ -1,0 +1,96 @@
+// The autopilot link beside a running pipeline: its threads, what it tells the log, and what it did in the end.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "firmware_app/config.h"
+#include "firmware_app/link/link_service.h"
+#include "firmware_app/pipeline/pipeline.h"
+#include "firmware_app/pipeline/pose_sampler.h"
+#include "hal/machine/machine_state.h"
+#include "hal/rt/thread.h"
+
+namespace godwit::app {
+
+/// What the link says while it runs. One line, for people.
+enum class LinkLogLevel : std::uint8_t { kInfo, kWarning };
+
+/// Called on a thread that may block.
+using LinkLog = std::function<void(LinkLogLevel, const std::string&)>;
+
+struct LinkRunnerOptions {
+  link::LinkSettings settings;
+  LinkLog log;            ///< null: nobody listens
+  rt::ThreadPlan thread;  ///< of gw-link
+};
+
+/// Two threads: gw-link, under real-time rules, moves frames between bus and pipeline; gw-link-keep may block: it keeps
+/// parameters and reset counter on disk, reads the temperature, watches the status and tells the log.
+class LinkRunner final : public FrameTap {
+ public:
+  /// Opens bus or port and starts the threads. Everything that is wrong is told here. user_stop outlives the runner.
+  static rt::Result<std::unique_ptr<LinkRunner>> start(const LinkRunnerOptions& options,
+                                                       const std::atomic<bool>& user_stop);
+  ~LinkRunner() override;
+  LinkRunner(const LinkRunner&) = delete;
+  LinkRunner& operator=(const LinkRunner&) = delete;
+
+  /// The pipeline is to end: the user wants it, or a RestartNode came over the bus and was granted.
+  const std::atomic<bool>& stop() const { return stop_; }
+  bool restart_due() const { return restart_due_.load(std::memory_order_relaxed); }
+
+  /// Tracker thread: sends the frame's pose. No allocation, no lock, no wait.
+  void frame_done(const FrameRecord& record) override;
+  /// One thread: what the autopilot told, oldest first.
+  bool take_input(link::AutopilotInput* input) { return service_->take_input(input); }
+
+  /// Ends the threads and returns the last status. Afterwards nothing is sent any more.
+  const link::LinkStatus& finish();
+
+ private:
+  LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::LinkService> service,
+             const std::atomic<bool>& user_stop);
+  rt::Result<void> start_threads();
+  void run_link();
+  void run_keeper();
+  void watch(const link::LinkStatus& status);
+  void tell(LinkLogLevel level, const std::string& text) const;
+
+  const LinkRunnerOptions options_;
+  std::unique_ptr<link::LinkService> service_;
+  PoseSampler sampler_;  ///< tracker thread's
+  const std::atomic<bool>& user_stop_;
+  /// finish() -> both threads: end. Relaxed, as the two below: nothing is ordered by them.
+  std::atomic<bool> ending_{false};
+  std::atomic<bool> stop_{false};         ///< keeper -> pipeline
+  std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
+  link::LinkStatus status_;               ///< keeper's; finish() reads it after the join
+  link::LinkStatus told_;                 ///< keeper's: what the log has been told
+  rt::TimeNs t_next_report_ns_ = 0;
+  rt::TimeNs t_next_health_ns_ = 0;
+  std::string told_storage_error_;
+  const hal::MachineMonitor machine_;  ///< keeper's
+  rt::Thread link_thread_;
+  std::thread keeper_thread_;
+};
+
+/// The link that the configuration asks for, already sending; null where it asks for none. T_body_cam: of the camera's
+/// calibration. Tells the log how the camera is mounted.
+rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
+                                                   const std::optional<std::array<double, 16>>& T_body_cam,
+                                                   const LinkLog& log, const std::atomic<bool>& user_stop);
+
+/// Lines for people: latency with the VISO_DELAY_MS to set, our own share of it, messages, bus load, what was lost.
+std::vector<std::string> link_report(const link::LinkStatus& status);
+
+/// The same as one JSON object, on one line.
+std::string link_report_json(const link::LinkStatus& status);
+
+}  // namespace godwit::app

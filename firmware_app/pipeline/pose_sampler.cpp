@@ -1,0 +1,111 @@
+#include "firmware_app/pipeline/pose_sampler.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace godwit::app {
+namespace {
+
+constexpr double kJumpPosition = 0.05;           // [m]
+constexpr double kJumpAngle = 1.0 * M_PI / 180;  // [rad]
+
+constexpr std::array<std::string_view, 5> kStates = {"INITIALISING", "TRACKING", "COASTING", "RELOCALISING", "LOST"};
+
+/// Rotation vector from one attitude to the other, in the axes of `from`.
+Eigen::Vector3d turn(const Eigen::Quaterniond& from, const Eigen::Quaterniond& to) {
+  const Eigen::AngleAxisd a((from.conjugate() * to).normalized());
+  return a.angle() * a.axis();
+}
+
+/// The record holds the covariance of the left twist (v, w) of T_cam_world: T_true = exp(x) T. The position of the
+/// camera in the world is then off by -R_world_cam v, its attitude by -R_world_cam w along world axes.
+Eigen::Matrix<double, 6, 6> world_covariance(const FrameRecord& record, const Eigen::Matrix3d& R_world_cam) {
+  Eigen::Matrix<double, 6, 6> C;
+  std::size_t k = 0;
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) C(row, column) = C(column, row) = record.covariance[k++];
+  }
+  Eigen::Matrix<double, 6, 6> R = Eigen::Matrix<double, 6, 6>::Zero();
+  R.topLeftCorner<3, 3>() = R.bottomRightCorner<3, 3>() = R_world_cam;
+  return R * C * R.transpose();
+}
+
+double sigma_of(const Eigen::Matrix<double, 6, 6>& C, int first) {
+  return std::sqrt(std::max(0.0, C.diagonal().segment<3>(first).mean()));
+}
+
+}  // namespace
+
+Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam) {
+  // Level and heading along the world's x: front is x, right is -y, down is -z.
+  return Eigen::Vector3d(1, -1, -1).asDiagonal() * R_body_cam;
+}
+
+link::PoseState pose_state(std::string_view name) {
+  const auto* found = std::find(kStates.begin(), kStates.end(), name);
+  return found == kStates.end() ? link::PoseState::kLost : static_cast<link::PoseState>(found - kStates.begin());
+}
+
+void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance) {
+  if (!record.map_moved) return;
+  const Eigen::Vector3d moved = R_world_map_ * Eigen::Vector3d(record.moved_by.data());
+  const Eigen::Vector3d turned = R_world_map_ * Eigen::Vector3d(record.turned_by.data());
+  fit_.shift(moved);
+  last_q_ = Eigen::AngleAxisd(turned.norm(), turned.stableNormalized()) * last_q_;
+  if (moved.norm() > std::max(3 * sigma_of(covariance, 0), kJumpPosition) ||
+      turned.norm() > std::max(3 * sigma_of(covariance, 3), kJumpAngle)) {
+    ++jumps_;
+  }
+}
+
+link::PoseSample PoseSampler::sample(const FrameRecord& record) {
+  link::PoseSample s;
+  s.t_capture_ns = record.t_capture_ns;
+  s.state = pose_state(record.state);
+  s.map_id = record.map_id;
+  s.measurements = static_cast<std::uint16_t>(std::clamp(record.features, 0, 65535));
+  s.reset_counter = jumps_;
+  if (!record.has_pose) {
+    // A state that claims a pose where there is none must not pass for one.
+    if (s.state == link::PoseState::kTracking || s.state == link::PoseState::kCoasting) {
+      s.state = link::PoseState::kRelocalising;
+    }
+    fit_.clear();
+    has_last_ = false;
+    return s;
+  }
+  if (record.map_id != map_id_) {
+    map_id_ = record.map_id;
+    fit_.clear();
+    has_last_ = false;
+  }
+  const Eigen::Quaterniond q_map_cam(record.q_world_cam[3], record.q_world_cam[0], record.q_world_cam[1],
+                                     record.q_world_cam[2]);
+  const Eigen::Quaterniond q_world_cam = (Eigen::Quaterniond(R_world_map_) * q_map_cam).normalized();
+  const Eigen::Vector3d position = R_world_map_ * Eigen::Vector3d(record.t_world_cam.data());
+  const Eigen::Matrix<double, 6, 6> covariance = world_covariance(record, q_world_cam.toRotationMatrix());
+  follow_correction(record, covariance);
+  s.reset_counter = jumps_;
+
+  fit_.add(record.t_capture_ns, position);
+  s.has_velocity = fit_.points() >= 2;
+  Eigen::Map<Eigen::Vector3d>(s.position.data()) = position;
+  s.orientation = {q_world_cam.w(), q_world_cam.x(), q_world_cam.y(), q_world_cam.z()};
+  Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = covariance;
+  if (s.has_velocity) {
+    const VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, sigma_of(covariance, 0));
+    Eigen::Map<Eigen::Vector3d>(s.velocity.data()) = motion.velocity;
+    for (std::size_t i = 0; i < 3; ++i) s.velocity_covariance[4 * i] = motion.velocity_variance;
+  }
+  const rt::TimeNs dt_ns = record.t_capture_ns - t_last_ns_;
+  if (has_last_ && dt_ns > 0) {
+    Eigen::Map<Eigen::Vector3d>(s.angular_velocity.data()) = turn(last_q_, q_world_cam) / rt::to_seconds(dt_ns);
+  }
+  has_last_ = true;
+  t_last_ns_ = record.t_capture_ns;
+  last_q_ = q_world_cam;
+  return s;
+}
+
+}  // namespace godwit::app

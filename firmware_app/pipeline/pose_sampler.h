@@ -1,0 +1,46 @@
+// From what the tracker says of a frame to what the link tells the autopilot: the world turned upright, velocity and
+// turn rate, jumps counted.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include "firmware_app/link/pose_sample.h"
+#include "firmware_app/pipeline/frame_record.h"
+#include "firmware_app/pipeline/velocity_fit.h"
+
+namespace godwit::app {
+
+/// Turns the map's world, which is the first view's camera, into the link's: z up, x where the body's front was.
+/// Assumes that the body was level when the map began; whether that is so, gravity alone can tell. R_body_cam: camera
+/// (x right, y down, z ahead) to body (front, right, down).
+Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam);
+
+/// The link's word for a state's name (vo::state_name); kLost for one it does not know.
+link::PoseState pose_state(std::string_view name);
+
+/// Remembers the last few poses. Tracker thread; no allocation.
+class PoseSampler {
+ public:
+  explicit PoseSampler(const Eigen::Matrix3d& R_world_map) : R_world_map_(R_world_map) {}
+
+  /// Frames in the order of their capture, processed ones only. Scale and gravity are not known to the odometry alone:
+  /// lengths are the map's, and the sample says so.
+  ///
+  /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
+  /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts.
+  link::PoseSample sample(const FrameRecord& record);
+
+ private:
+  void follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance);
+
+  const Eigen::Matrix3d R_world_map_;
+  VelocityFit fit_;
+  bool has_last_ = false;
+  rt::TimeNs t_last_ns_ = 0;
+  Eigen::Quaterniond last_q_{1, 0, 0, 0};  // camera to world
+  std::uint32_t map_id_ = 0;
+  std::uint8_t jumps_ = 0;
+};
+
+}  // namespace godwit::app

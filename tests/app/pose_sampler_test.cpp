@@ -1,0 +1,233 @@
+#include "firmware_app/pipeline/pose_sampler.h"
+
+#include <Eigen/Cholesky>
+#include <gtest/gtest.h>
+#include <random>
+
+#include "firmware_app/link/odometry_message.h"
+#include "vo_core/tracker.h"
+
+namespace godwit::app {
+namespace {
+
+using Mat3 = Eigen::Matrix3d;
+using Mat6 = Eigen::Matrix<double, 6, 6>;
+using Vec3 = Eigen::Vector3d;
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+
+constexpr rt::TimeNs kFrameNs = rt::kNsPerSecond / 30;
+
+/// Looking ahead and 0.3 rad down.
+Mat3 mounting() {
+  const double c = std::cos(0.3), s = std::sin(0.3);
+  return Mat3{{0, -s, c}, {1, 0, 0}, {0, c, s}};
+}
+
+FrameRecord record_at(int frame, const vo::SE3& T_world_cam) {
+  FrameRecord r;
+  r.t_capture_ns = rt::kNsPerSecond + frame * kFrameNs;
+  r.tracked = r.has_pose = true;
+  r.map_id = 1;
+  r.features = 120;
+  r.state = vo::state_name(vo::State::kTracking);
+  const Eigen::Quaterniond q = T_world_cam.quaternion();
+  r.q_world_cam = {q.x(), q.y(), q.z(), q.w()};
+  Eigen::Map<Vec3>(r.t_world_cam.data()) = T_world_cam.t;
+  for (std::size_t i = 0; i < 6; ++i) r.covariance[std::array<std::size_t, 6>{0, 6, 11, 15, 18, 20}[i]] = 1e-6;
+  return r;
+}
+
+vo::SE3 cruise(double t) {
+  return {vo::so3_exp(Vec3(0.1, 0.4, -0.2) * t), Vec3(0.3, -0.2, 2.0) * t + Vec3(0, 0.5, 1) * t * t};
+}
+
+Vec3 vec(const std::array<double, 3>& a) {
+  return Vec3(a[0], a[1], a[2]);
+}
+
+TEST(PoseSampler, KnowsEveryStateOfTheTracker) {
+  EXPECT_EQ(pose_state(vo::state_name(vo::State::kInitialising)), link::PoseState::kInitialising);
+  EXPECT_EQ(pose_state(vo::state_name(vo::State::kTracking)), link::PoseState::kTracking);
+  EXPECT_EQ(pose_state(vo::state_name(vo::State::kCoasting)), link::PoseState::kCoasting);
+  EXPECT_EQ(pose_state(vo::state_name(vo::State::kRelocalising)), link::PoseState::kRelocalising);
+  EXPECT_EQ(pose_state(vo::state_name(vo::State::kLost)), link::PoseState::kLost);
+  EXPECT_EQ(pose_state("what?"), link::PoseState::kLost);
+}
+
+TEST(PoseSampler, TheMapsFirstViewIsALevelBody) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  const link::PoseSample s = sampler.sample(record_at(0, {}));
+  link::OdometryConfig config;
+  config.R_body_cam = mounting();
+  config.bench_metric = true;
+  link::PoseSample with_velocity = s;
+  with_velocity.has_velocity = true;
+  const link::BodyPose body = link::body_pose(with_velocity, config);
+  EXPECT_NEAR(body.q(0), 1, 1e-12) << "level, and heading along the local x axis";
+  EXPECT_LT(body.position.norm(), 1e-12);
+}
+
+// The camera moves along its own axes: what of it is front, right and down of the body.
+TEST(PoseSampler, MovesOfTheCameraAreMovesOfTheBody) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  sampler.sample(record_at(0, {}));
+  const Vec3 moved_cam(0.1, 0.2, 0.5);
+  link::PoseSample s = sampler.sample(record_at(1, {Mat3::Identity(), moved_cam}));
+  link::OdometryConfig config;
+  config.R_body_cam = mounting();
+  config.bench_metric = true;
+  const link::BodyPose body = link::body_pose(s, config);
+  EXPECT_LT((body.position - mounting() * moved_cam).norm(), 1e-12);
+  EXPECT_LT((body.velocity - mounting() * moved_cam * 30).norm(), 1e-6);
+  EXPECT_GT(body.quality, 0);
+  config.bench_metric = false;
+  EXPECT_EQ(link::body_pose(s, config).quality, -1) << "the odometry alone knows neither scale nor gravity";
+  EXPECT_FALSE(s.has_scale);
+  EXPECT_FALSE(s.has_gravity);
+}
+
+TEST(PoseSampler, VelocityAndTurnRateAreThoseOfTheMotion) {
+  const Mat3 R_world_map = world_of_level_start(mounting());
+  PoseSampler sampler(R_world_map);
+  for (int i = 0; i < 12; ++i) {
+    const double t = i / 30.0;
+    const link::PoseSample s = sampler.sample(record_at(i, cruise(t)));
+    EXPECT_EQ(s.has_velocity, i > 0);
+    if (i < 4) continue;
+    const Vec3 velocity = R_world_map * (Vec3(0.3, -0.2, 2.0) + 2 * Vec3(0, 0.5, 1) * t);
+    EXPECT_LT((vec(s.velocity) - velocity).norm(), 1e-5) << "a parabola has no lag under constant acceleration";
+    EXPECT_LT((vec(s.angular_velocity) - Vec3(0.1, 0.4, -0.2)).norm(), 1e-6);
+  }
+}
+
+TEST(PoseSampler, VelocityVarianceIsThatOfItsErrors) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> noise(0, 0.004);
+  double squared = 0, told = 0;
+  int n = 0;
+  for (int run = 0; run < 400; ++run) {
+    PoseSampler sampler(Mat3::Identity());
+    for (int i = 0; i < 10; ++i) {
+      vo::SE3 T = cruise(i / 30.0);
+      T.t += Vec3(noise(random), noise(random), noise(random));
+      const link::PoseSample s = sampler.sample(record_at(i, T));
+      if (i < 6) continue;
+      const Vec3 truth = Vec3(0.3, -0.2, 2.0) + 2 * Vec3(0, 0.5, 1) * (i / 30.0);
+      squared += (vec(s.velocity) - truth).squaredNorm() / 3;
+      told += s.velocity_covariance[0];
+      ++n;
+    }
+  }
+  EXPECT_NEAR(squared / told, 1.0, 0.15) << n;
+}
+
+// Perturbs T_cam_world by twists drawn from the record's covariance and looks at what becomes of position and attitude.
+TEST(PoseSampler, CovarianceIsThatOfPositionAndAttitudeInTheWorld) {
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  Mat6 A;
+  for (int i = 0; i < 36; ++i) A(i) = 1e-3 * normal(random);
+  const Mat6 C = A * A.transpose() + 1e-8 * Mat6::Identity();
+  const vo::SE3 T_world_cam{vo::so3_exp(Vec3(0.3, -0.7, 0.5)), Vec3(4, -2, 7)};
+  FrameRecord record = record_at(0, T_world_cam);
+  std::size_t k = 0;
+  for (int row = 0; row < 6; ++row)
+    for (int column = row; column < 6; ++column) record.covariance[k++] = C(row, column);
+  const Mat3 R_world_map = world_of_level_start(mounting());
+  PoseSampler sampler(R_world_map);
+  const link::PoseSample s = sampler.sample(record);
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> told(s.covariance.data());
+
+  const Mat6 L = C.llt().matrixL();
+  Mat6 seen = Mat6::Zero();
+  constexpr int kDraws = 40000;
+  for (int i = 0; i < kDraws; ++i) {
+    Vec6 x;
+    for (int j = 0; j < 6; ++j) x(j) = normal(random);
+    const vo::SE3 other = (vo::SE3::exp(L * x) * T_world_cam.inverse()).inverse();
+    Vec6 e;
+    e << R_world_map * (other.t - T_world_cam.t),
+        vo::so3_log(R_world_map * other.R * T_world_cam.R.transpose() * R_world_map.transpose());
+    seen += e * e.transpose() / kDraws;
+  }
+  EXPECT_LT((seen - told).norm(), 0.03 * told.norm());
+}
+
+TEST(PoseSampler, ACorrectionOfTheMapIsNoVelocityAndABigOneIsAJump) {
+  for (const double metres : {0.02, 0.5}) {
+    PoseSampler sampler(Mat3::Identity());
+    const Vec3 correction(0, metres, 0);
+    std::uint8_t before = 0;
+    for (int i = 0; i < 12; ++i) {
+      const double t = i / 30.0;
+      vo::SE3 T{Mat3::Identity(), Vec3(1, 0, 0) * t};
+      FrameRecord r = record_at(i, T);
+      if (i >= 8) Eigen::Map<Vec3>(r.t_world_cam.data()) += correction;
+      if (i == 8) {
+        r.map_moved = true;
+        Eigen::Map<Vec3>(r.moved_by.data()) = correction;
+      }
+      const link::PoseSample s = sampler.sample(r);
+      if (i == 7) before = s.reset_counter;
+      if (i >= 2) {
+        EXPECT_LT((vec(s.velocity) - Vec3(1, 0, 0)).norm(), 1e-6) << i;
+      }
+      if (i >= 8) {
+        EXPECT_EQ(s.reset_counter - before, metres > 0.05 ? 1 : 0) << i;
+      }
+    }
+  }
+}
+
+TEST(PoseSampler, ACorrectionWithinThreeSigmaIsNoJump) {
+  PoseSampler sampler(Mat3::Identity());
+  for (int i = 0; i < 4; ++i) {
+    FrameRecord r = record_at(i, {});
+    for (const std::size_t k : {0U, 6U, 11U, 15U, 18U, 20U}) r.covariance[k] = 0.04;
+    r.map_moved = i == 3;
+    r.moved_by = {0.5, 0, 0};
+    r.turned_by = {0, 0.3, 0};
+    EXPECT_EQ(sampler.sample(r).reset_counter, 0);
+  }
+}
+
+TEST(PoseSampler, ATurnOfTheMapByMoreThanADegreeIsAJumpAndNoTurnRate) {
+  PoseSampler sampler(Mat3::Identity());
+  sampler.sample(record_at(0, {}));
+  const Mat3 turned = vo::so3_exp(Vec3(0, 0.05, 0));
+  FrameRecord r = record_at(1, {turned, Vec3::Zero()});
+  r.map_moved = true;
+  r.turned_by = {0, 0.05, 0};
+  const link::PoseSample s = sampler.sample(r);
+  EXPECT_EQ(s.reset_counter, 1);
+  EXPECT_LT(vec(s.angular_velocity).norm(), 1e-9);
+}
+
+TEST(PoseSampler, WithoutAPoseNothingIsClaimedAndAfterItVelocityBeginsAnew) {
+  PoseSampler sampler(Mat3::Identity());
+  for (int i = 0; i < 6; ++i) sampler.sample(record_at(i, cruise(i / 30.0)));
+  FrameRecord lost = record_at(6, {});
+  lost.has_pose = lost.tracked = false;
+  EXPECT_EQ(sampler.sample(lost).state, link::PoseState::kRelocalising) << "TRACKING without a pose is no tracking";
+  lost = record_at(7, {});
+  lost.has_pose = lost.tracked = false;
+  lost.state = vo::state_name(vo::State::kLost);
+  EXPECT_EQ(sampler.sample(lost).state, link::PoseState::kLost);
+  EXPECT_FALSE(sampler.sample(record_at(8, cruise(0.5))).has_velocity);
+  EXPECT_TRUE(sampler.sample(record_at(9, cruise(0.6))).has_velocity);
+  FrameRecord other_map = record_at(10, cruise(3));
+  other_map.map_id = 2;
+  EXPECT_FALSE(sampler.sample(other_map).has_velocity);
+}
+
+TEST(VelocityFit, AGapBeginsAnew) {
+  VelocityFit fit;
+  fit.add(0, Vec3::Zero());
+  fit.add(kFrameNs, Vec3(1, 0, 0));
+  EXPECT_EQ(fit.points(), 2U);
+  fit.add(kFrameNs + VelocityFit::kMaxGapNs + 1, Vec3(9, 9, 9));
+  EXPECT_EQ(fit.points(), 1U);
+}
+
+}  // namespace
+}  // namespace godwit::app
