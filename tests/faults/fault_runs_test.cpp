@@ -11,7 +11,11 @@ constexpr int kBefore = 150, kAfter = 60;
 constexpr int kWithinFrames = 30;  ///< 1 s
 constexpr double kAteBar = 0.015;  ///< of the sequence as it is [m]
 constexpr double kWrongMetres = 0.05, kWrongDegrees = 3.0;
+#if defined(__SANITIZE_ADDRESS__)
+constexpr std::array<int, 1> kPlaces = {290};  // everything takes twenty times as long
+#else
 constexpr std::array<int, 5> kPlaces = {180, 290, 400, 510, 620};
+#endif
 
 enum class Fault { kRemoved, kBlack, kForeign };
 constexpr const char* kFaultNames[] = {"removed", "black", "foreign"};
@@ -20,9 +24,16 @@ constexpr const char* kFaultNames[] = {"removed", "black", "foreign"};
 struct Tally {
   int runs = 0, back = 0;
   int tracked = 0, wrong = 0;
-  int blind_tracked_late = 0;  ///< black or foreign frames that counted as tracked after the first five
-  double worst_return_m = 0;
+  int blind_tracked_late = 0;                  ///< black or foreign frames that counted as tracked after the first five
+  std::vector<double> search_ms, tracking_ms;  ///< processor time of the tracking call
 };
+
+double percentile(std::vector<double> values, double share) {
+  if (values.empty()) return 0;
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
 
 /// The middle 640x480 of another scene.
 std::vector<Pixels> foreign_pictures(const Recording& other, int width, int height) {
@@ -54,7 +65,10 @@ void add_run(const Recording& recording, const std::vector<Shown>& shown, std::s
   int n = 0;
   double worst_m = 0, worst_deg = 0;
   for (std::size_t i = 0; i < records.size(); ++i) {
+    const double ms = static_cast<double>(records[i].thread_cpu_ns) * 1e-6;
+    if (std::string_view(records[i].state) == "RELOCALISING") tally->search_ms.push_back(ms);
     if (!records[i].tracked) continue;
+    tally->tracking_ms.push_back(ms);
     ++tracked;
     if (shown[i].truth_index < 0) {
       ++wrong;
@@ -141,8 +155,12 @@ TEST_F(FaultRuns, OneAndThreeSecondsRemovedBlackenedOrReplacedAtFivePlaces) {
   }
   std::printf("%d of %d back; %d of %d tracked frames wrong; %d blind ones after the fifth\n", tally.back, tally.runs,
               tally.wrong, tally.tracked, tally.blind_tracked_late);
-  EXPECT_EQ(tally.runs, 30);
-  EXPECT_GE(tally.back, 27);
+  std::printf(
+      "processor time of a frame: tracking median %.2f ms, p99 %.2f; searching median %.2f, p99 %.2f, max %.2f\n",
+      percentile(tally.tracking_ms, 0.5), percentile(tally.tracking_ms, 0.99), percentile(tally.search_ms, 0.5),
+      percentile(tally.search_ms, 0.99), percentile(tally.search_ms, 1.0));
+  EXPECT_EQ(tally.runs, static_cast<int>(6 * kPlaces.size()));
+  EXPECT_GE(tally.back * 10, tally.runs * 9);
   EXPECT_EQ(tally.wrong, 0);
   EXPECT_EQ(tally.blind_tracked_late, 0);
 }
