@@ -5,6 +5,8 @@
 #include <random>
 
 #include "firmware_app/link/odometry_message.h"
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
 #include "vo_core/tracker.h"
 
 namespace godwit::app {
@@ -218,6 +220,18 @@ TEST(PoseSampler, WithoutAPoseNothingIsClaimedAndAfterItVelocityBeginsAnew) {
   FrameRecord other_map = record_at(10, cruise(3));
   other_map.map_id = 2;
   EXPECT_FALSE(sampler.sample(other_map).has_velocity);
+}
+
+TEST(PoseSampler, DoesNotAllocate) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  for (int i = 0; i < 20; ++i) {
+    FrameRecord r = record_at(i, cruise(i / 30.0));
+    r.map_moved = i % 3 == 0;
+    const rt::RtScope real_time;
+    sampler.sample(r);
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
 }
 
 TEST(VelocityFit, AGapBeginsAnew) {
