@@ -6,6 +6,7 @@
 #include "firmware_app/link_runner.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
+#include "firmware_app/pipeline/arming.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/pipeline.h"
 
@@ -15,15 +16,22 @@ namespace {
 /// Passes the frames on and shows how far the run is.
 class ShowingSink final : public FrameSink {
  public:
-  ShowingSink(FrameSink* next, ProgressBar* bar) : next_(next), bar_(bar) {}
+  ShowingSink(FrameSink* next, ProgressBar* bar, std::string memory_refused)
+      : next_(next), bar_(bar), memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     bar_->show(++done_, record.state);
     return next_->take(record);
   }
+  void started(const std::vector<std::string>& refused) override {
+    const std::string warning = privilege_warning(memory_refused_, refused);
+    if (!warning.empty()) fmt::print(stderr, "godwit: warning: {}\n", warning);
+  }
+  void event(const rt::LogEntry& entry) override { next_->event(entry); }
 
  private:
   FrameSink* next_;
   ProgressBar* bar_;
+  const std::string memory_refused_;
   std::int64_t done_ = 0;
 };
 
@@ -39,6 +47,10 @@ void tell(const RunWriter& writer, const std::string& folder) {
         "tracking a frame: median {:.2f} ms, p95 {:.2f}, p99 {:.2f}, max {:.2f}; processor time with mapping: "
         "mean {:.2f} ms\n",
         s.ms.median, s.ms.p95, s.ms.p99, s.ms.max, s.proc_cpu_ms.mean);
+    if (s.age_ms.max > 0) {
+      fmt::print("from capture to pose: median {:.2f} ms, p95 {:.2f}, p99 {:.2f}, max {:.2f}\n", s.age_ms.median,
+                 s.age_ms.p95, s.age_ms.p99, s.age_ms.max);
+    }
   } else {
     fmt::print("no pose was found\n");
   }
@@ -96,13 +108,16 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   if (!link) return refuse(link.error().message);
   LinkRunner* const autopilot = link.value().get();
   pipeline.tap = autopilot;
+  const hal::MachineMonitor machine;
+  pipeline.machine = &machine;
+  plan_pipeline(config, calibration.fps, &pipeline);
   RunWriter writer;
   auto opened = writer.open(plan.out, pipeline.newest_frame);
   if (!opened) return failed(opened.error().message);
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, &bar);
+    ShowingSink sink(&writer, &bar, arm_memory(config));
     run = run_pipeline(camera, stage.get(), pool.value().get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }
@@ -118,6 +133,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   RunDescription description{GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads",
                              plan.pace,      plan.start,  ""};
   if (autopilot != nullptr) description.link = link_report_json(autopilot->finish());
+  writer.set_pipeline(run.value());
   auto finished = writer.finish(description);
   if (!finished) return failed(finished.error().message);
   tell(writer, plan.out);

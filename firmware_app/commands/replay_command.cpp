@@ -35,6 +35,13 @@ void add_replay_command(CLI::App* app, ReplayArguments* a) {
           "Folder in TUM layout (rgb.txt, pictures, camera.yaml) or EuRoC/ASL layout (mav0/cam0 with data.csv, "
           "data/ and sensor.yaml; mav0 or cam0 itself will do)")
       ->required();
+  replay
+      ->add_option("--loop", a->loop,
+                   "Fly the sequence N times, forth and back in turn, with times that go on: a long flight without a "
+                   "jump (a rolling shutter's readout is right on the way forth only)")
+      ->type_name("N")
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000}))
+      ->capture_default_str();
   add_run_options(replay, a);
   replay->footer(
       "Writes trajectory.tum, frames.csv, pose.csv and summary.json; summary.json comes last, so a folder that\n"
@@ -144,6 +151,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   replay.pace = a.pace == "real" ? hal::ReplayOptions::Pace::kReal : hal::ReplayOptions::Pace::kMax;
   replay.start = a.start;
   replay.frames = a.frames;
+  replay.passes = a.loop;
   auto camera = hal::ReplayCamera::open(a.sequence, replay);
   if (!camera) return refuse(camera.error().message);
   const hal::CameraCalibration& calibration = camera.value()->calibration();

@@ -18,6 +18,7 @@ struct ReplayArguments {
   bool sequential = false;
   std::int64_t start = 0;
   std::int64_t frames = 0;  ///< 0: all
+  std::int64_t loop = 1;    ///< passes, forth and back in turn; replay only
   std::string detector = "off", gate = "off", imu = "off";
   std::string model;
   std::string can, mavlink;  ///< empty: as configured

@@ -52,6 +52,31 @@ std::string json_statistics(const Statistics& s) {
                      s.p95, s.p99, s.max, s.mean);
 }
 
+std::string json_list(const std::vector<std::string>& items) {
+  std::string out = "[";
+  for (const std::string& item : items) out += (out.size() > 1 ? ",\n    " : "\n    ") + item;
+  return out + (items.empty() ? "]" : "\n  ]");
+}
+
+/// What was late, dropped and shed, and why.
+std::string json_scheduler(const PipelineCounters& p) {
+  const SchedulerCounters& c = p.scheduler;
+  std::string reasons, seconds;
+  for (std::size_t i = 0; i < kRungReasons; ++i) {
+    reasons +=
+        fmt::format(R"({}"{}": {})", i > 0 ? ", " : "", rung_reason_name(static_cast<RungReason>(i)), c.by_reason[i]);
+  }
+  for (std::size_t i = 0; i < kRungs; ++i) {
+    seconds += fmt::format(R"({}"{}": {:.3f})", i > 0 ? ", " : "", rung_name(static_cast<Rung>(i)),
+                           rt::to_seconds(c.time_on_rung_ns[i]));
+  }
+  return fmt::format(
+      R"({{"late": {}, "dropped": {}, "rungs_down": {}, "rungs_up": {}, "reasons": {{{}}}, "seconds_on_rung": {{{}}}, )"
+      R"("rung": "{}", "detections": {}, "detections_late": {}, "detector_stuck": {}}})",
+      c.slips, c.dropped, c.steps_down, c.steps_up, reasons, seconds, rung_name(p.rung), c.detections,
+      c.detections_late, c.detector_stuck);
+}
+
 std::string frames_header() {
   std::string h = "t,ms,thread_cpu_ms,proc_cpu_ms,tracked,map_id,state,features,fate,keyframe,map_moved,age_ms";
   for (const char* stage : kStageNames) h += std::string(",") + stage + "_ms";
@@ -94,7 +119,10 @@ rt::Result<void> RunWriter::open(const std::string& folder, bool with_age) {
 rt::Result<void> RunWriter::take(const FrameRecord& r) {
   const bool processed = r.fate == FrameFate::kProcessed;
   if (processed) state_ = r.state;
-  if (first_t_ns_ < 0) first_t_ns_ = r.t_source_ns;
+  if (first_t_ns_ < 0) {
+    first_t_ns_ = r.t_source_ns;
+    t_base_ns_ = r.t_capture_ns;
+  }
   const double ms = rt::to_ms(r.wall_ns);
   const double thread_cpu_ms = rt::to_ms(r.thread_cpu_ns);
   const double proc_cpu_ms = rt::to_ms(r.thread_cpu_ns + r.mapper_cpu_ns);
@@ -108,6 +136,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     ms_.push_back(ms);
     thread_cpu_ms_.push_back(thread_cpu_ms);
     proc_cpu_ms_.push_back(proc_cpu_ms);
+    if (with_age_) age_ms_.push_back(rt::to_ms(r.t_done_ns - r.t_capture_ns));
   }
   count(r, &counters_);
   if (!processed && bad_reasons_.size() < kReasonsKept) bad_reasons_.emplace_back(r.reason.view());
@@ -147,6 +176,14 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
   return written;
 }
 
+void RunWriter::event(const rt::LogEntry& e) {
+  if (++events_seen_ > kEventsKept) return;
+  events_.push_back(
+      fmt::format(R"({{"t": {:.3f}, "what": {}, "which": {}, "why": {}, "value": {:.6g}, "limit": {:.6g}}})",
+                  rt::to_seconds(e.t_ns - t_base_ns_), json_string(e.what), json_string(e.which), json_string(e.why),
+                  e.value, e.limit));
+}
+
 RunSummary RunWriter::summary() const {
   RunSummary s;
   s.counters = counters_;
@@ -162,6 +199,7 @@ RunSummary RunWriter::summary() const {
   s.ms = statistics_of(ms_);
   s.thread_cpu_ms = statistics_of(thread_cpu_ms_);
   s.proc_cpu_ms = statistics_of(proc_cpu_ms_);
+  s.age_ms = statistics_of(age_ms_);
   return s;
 }
 
@@ -191,6 +229,19 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
   line("thread_cpu_ms", json_statistics(s.thread_cpu_ms));
   line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
   if (!d.link.empty()) line("link", d.link);
+  if (with_age_) {
+    line("age_ms", json_statistics(s.age_ms));
+    line("scheduler", json_scheduler(pipeline_));
+    line("events", json_list(events_));
+    line("events_not_kept", std::to_string(events_seen_ - events_.size() + pipeline_.events_lost));
+  }
+  line("records_lost", std::to_string(pipeline_.records_lost));
+  std::vector<std::string> threads;
+  for (const ThreadReport& t : pipeline_.threads) {
+    threads.push_back(fmt::format(R"({{"name": {}, "minor_faults": {}, "major_faults": {}, "stack_kb": {}}})",
+                                  json_string(t.name), t.faults.minor, t.faults.major, t.stack_used / 1024));
+  }
+  line("threads", json_list(threads));
   j += fmt::format("  \"peak_memory_mb\": {:.1f}\n}}\n", peak_memory_mb());
   auto written = summary_.write(j);
   // All to the disk before the first gets its name: a disk that fills up at the second would leave one file of a failed

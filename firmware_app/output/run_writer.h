@@ -31,6 +31,7 @@ struct RunSummary {
   std::int64_t first_pose_frames = -1;        ///< pictures before the first pose; -1: there was none
   double first_pose_ms = -1;                  ///< source time from the first picture to the first pose
   Statistics ms, thread_cpu_ms, proc_cpu_ms;  ///< over tracked frames
+  Statistics age_ms;                          ///< real pace: from capture to pose, over tracked frames
 };
 
 /// Writes line by line while the run goes on; the files get their names in finish(), summary.json last, so a folder
@@ -47,6 +48,10 @@ class RunWriter final : public FrameSink {
   /// times are moments of this machine's clock (real pace), so the age of a pose can be told. Error: file, reason.
   rt::Result<void> open(const std::string& folder, bool with_age);
   rt::Result<void> take(const FrameRecord& record) override;
+  /// Kept for the summary, the first thousand.
+  void event(const rt::LogEntry& entry) override;
+  /// What the pipeline counted, for the summary; before finish().
+  void set_pipeline(const PipelineCounters& counters) { pipeline_ = counters; }
   rt::Result<void> finish(const RunDescription& description);
 
   /// Valid at any time; complete after the last take().
@@ -56,17 +61,22 @@ class RunWriter final : public FrameSink {
 
  private:
   static constexpr std::size_t kReasonsKept = 5;
+  static constexpr std::size_t kEventsKept = 1000;
 
   AtomicFile trajectory_, frames_, poses_, summary_;
   std::string line_;
   bool with_age_ = false;
   const char* state_ = "INITIALISING";  ///< of the last processed frame: what holds while pictures are missing
   PipelineCounters counters_;
+  PipelineCounters pipeline_;  ///< as set_pipeline() was told
   std::uint64_t tracked_ = 0;
   std::uint32_t maps_ = 0;
   std::int64_t first_pose_frames_ = -1;
   rt::TimeNs first_t_ns_ = -1, first_pose_t_ns_ = -1;
-  std::vector<double> ms_, thread_cpu_ms_, proc_cpu_ms_;
+  std::vector<double> ms_, thread_cpu_ms_, proc_cpu_ms_, age_ms_;
+  std::vector<std::string> events_;  ///< as JSON
+  std::uint64_t events_seen_ = 0;
+  rt::TimeNs t_base_ns_ = 0;  ///< capture time of the first picture: events count from there
   std::vector<std::string> bad_reasons_;
 };
 

@@ -190,8 +190,8 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
   hal::MachineState machine;
   if (machine_.read(&machine)) scheduler_.machine(machine.temperature_c, machine.throttled);
   if (newest_frame_) {
-    const auto change =
-        scheduler_.frame_done(record.t_done_ns, record.wall_ns, record.t_done_ns - record.t_capture_ns, dropped);
+    const auto change = scheduler_.frame_done(record.t_done_ns, record.tracked ? record.wall_ns : -1,
+                                              record.t_done_ns - record.t_capture_ns, dropped);
     if (change) {
       stage_->limit_features(scheduler_.plan().feature_share);
       const bool down = change->to > change->from;

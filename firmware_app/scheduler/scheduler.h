@@ -87,8 +87,9 @@ class Scheduler {
  public:
   explicit Scheduler(const SchedulerOptions& options) : options_(options), calm_needed_ns_(options.calm_ns) {}
 
-  /// A frame went through the tracker: its processing took tracker_ns, its pose stood age_ns after the capture; dropped
-  /// older frames gave way to it. Returns the change of rung that follows from it, if any.
+  /// A frame went through the tracker: its processing took tracker_ns (negative: it was not tracked, and initialising
+  /// or searching costs what it costs), it was done age_ns after the capture; `dropped` older frames gave way to it.
+  /// Returns the change of rung that follows from it, if any.
   std::optional<RungChange> frame_done(rt::TimeNs now_ns, rt::TimeNs tracker_ns, rt::TimeNs age_ns, int dropped);
 
   /// How the machine is, whenever it was looked at. temperature_c: hottest, not-a-number where unknown.

@@ -12,12 +12,13 @@ rt::Result<std::unique_ptr<LoopedPictures>> LoopedPictures::record(hal::Camera* 
                                                                    const std::atomic<bool>& stop) {
   std::unique_ptr<LoopedPictures> out(new LoopedPictures(source->width(), source->height(), options));
   const std::size_t bytes = static_cast<std::size_t>(source->width()) * static_cast<std::size_t>(source->height());
-  out->pixels_.reserve(bytes * static_cast<std::size_t>(pictures));
+  out->pixels_ = std::make_shared<std::vector<std::uint8_t>>();
+  out->pixels_->reserve(bytes * static_cast<std::size_t>(pictures));
   hal::CameraStatus status = hal::CameraStatus::kFrame;
   while (out->count_ < pictures && status != hal::CameraStatus::kEnd) {
     if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted while the pictures were made"};
-    out->pixels_.resize(bytes * static_cast<std::size_t>(out->count_ + 1));
-    const rt::MutableImageView grey{out->pixels_.data() + bytes * static_cast<std::size_t>(out->count_),
+    out->pixels_->resize(bytes * static_cast<std::size_t>(out->count_ + 1));
+    const rt::MutableImageView grey{out->pixels_->data() + bytes * static_cast<std::size_t>(out->count_),
                                     source->width(), source->height(), source->width()};
     hal::CapturedFrame frame;
     status = source->next(grey, nullptr, rt::kNsPerSecond, &frame, nullptr);
@@ -26,6 +27,13 @@ rt::Result<std::unique_ptr<LoopedPictures>> LoopedPictures::record(hal::Camera* 
   if (out->count_ < 2) {
     return rt::Error{"the source has " + std::to_string(out->count_) + " pictures; a flight needs two at least"};
   }
+  return out;
+}
+
+std::unique_ptr<LoopedPictures> LoopedPictures::again(const Options& options) const {
+  std::unique_ptr<LoopedPictures> out(new LoopedPictures(width_, height_, options));
+  out->pixels_ = pixels_;
+  out->count_ = count_;
   return out;
 }
 
@@ -48,7 +56,7 @@ hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::ui
   frame->sequence = static_cast<std::uint32_t>(next_++);
   if (grey.data == nullptr) return hal::CameraStatus::kFrame;
   const auto row_bytes = static_cast<std::size_t>(width_);
-  const std::uint8_t* from = pixels_.data() + picture * row_bytes * static_cast<std::size_t>(height_);
+  const std::uint8_t* from = pixels_->data() + picture * row_bytes * static_cast<std::size_t>(height_);
   for (int y = 0; y < height_; ++y) std::memcpy(grey.row(y), from + static_cast<std::size_t>(y) * row_bytes, row_bytes);
   return hal::CameraStatus::kFrame;
 }

@@ -24,6 +24,9 @@ class LoopedPictures final : public hal::Camera {
   static rt::Result<std::unique_ptr<LoopedPictures>> record(hal::Camera* source, int pictures, const Options& options,
                                                             const std::atomic<bool>& stop);
 
+  /// Another camera on the same pictures, from their beginning.
+  std::unique_ptr<LoopedPictures> again(const Options& options) const;
+
   int width() const override { return width_; }
   int height() const override { return height_; }
   int channels() const override { return 1; }
@@ -38,7 +41,7 @@ class LoopedPictures final : public hal::Camera {
 
   const int width_, height_;
   const Options options_;
-  std::vector<std::uint8_t> pixels_;  ///< one picture after the other, without padding
+  std::shared_ptr<std::vector<std::uint8_t>> pixels_;  ///< one picture after the other, without padding
   int count_ = 0;
   std::int64_t next_ = 0;
   rt::TimeNs start_ns_ = 0;  ///< capture time of picture 0

@@ -55,7 +55,10 @@ Thread::~Thread() {
 }
 
 void* Thread::run(void* self) {
-  static_cast<Thread*>(self)->body_();
+  auto* const thread = static_cast<Thread*>(self);
+  while (!thread->planned_.wait_for(kNsPerSecond)) {
+  }
+  thread->body_();
   return nullptr;
 }
 
@@ -78,6 +81,7 @@ Result<void> Thread::start(const char* name, const ThreadPlan& plan, std::functi
   if (error != 0) return Error{std::string(name) + ": cannot start: " + std::strerror(error)};
   running_ = true;
   warning_ = apply_plan(id_, name, plan);
+  planned_.post();
   return {};
 }
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "hal/rt/result.h"
+#include "hal/rt/wake_up.h"
 
 namespace godwit::rt {
 
@@ -39,7 +40,8 @@ class Thread {
   Thread& operator=(const Thread&) = delete;
 
   /// Runs body on a new thread. The stack is mapped and touched here, so that running on it faults no page later, with
-  /// a page below it that may not be touched. Missing privileges do not fail: see warning(). Error: no memory, no
+  /// a page below it that may not be touched; body begins when the plan holds. Missing privileges do not fail: see
+  /// warning(). Error: no memory, no
   /// thread.
   Result<void> start(const char* name, const ThreadPlan& plan, std::function<void()> body);
   /// Waits until body has returned.
@@ -55,6 +57,7 @@ class Thread {
 
   std::function<void()> body_;
   std::string warning_;
+  WakeUp planned_;
   std::uint8_t* stack_ = nullptr;  ///< guard page first
   pthread_t id_{};
   bool running_ = false;

@@ -218,6 +218,15 @@ TEST(Scheduler, HeatAndThrottlingShedAndCoolingClimbs) {
   EXPECT_EQ(f.rung(), Rung::kFull) << "an unknown temperature holds nothing down";
 }
 
+TEST(Scheduler, FramesThatAreNotTrackedSayNothingOfTheTrackersCost) {
+  Scheduler scheduler{SchedulerOptions{}};
+  rt::TimeNs now = rt::kNsPerSecond;
+  for (int i = 0; i < 300; ++i, now += kFrame) EXPECT_FALSE(scheduler.frame_done(now, -1, 25 * kMs, 0));
+  EXPECT_EQ(scheduler.tracker_p95_ns(), 0);
+  for (int i = 0; i < 30; ++i, now += kFrame) EXPECT_FALSE(scheduler.frame_done(now, i * kMs / 10, 25 * kMs, 0));
+  EXPECT_EQ(scheduler.tracker_p95_ns(), 28 * kMs / 10) << "of 0.0 to 2.9 ms";
+}
+
 TEST(Scheduler, CountsEveryFrameAndEveryChangeOnce) {
   Flown f(with_detector());
   std::mt19937 random(2);

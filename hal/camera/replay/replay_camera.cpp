@@ -71,9 +71,14 @@ rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& 
     return rt::Error{l.index_file + ": lists " + std::to_string(listed) + " pictures; a start at picture " +
                      std::to_string(options.start) + " leaves none"};
   }
-  camera->first_ = camera->next_ = options.start;
+  camera->first_ = options.start;
   camera->last_ =
       options.frames > 0 && options.frames < listed - options.start ? options.start + options.frames : listed;
+  camera->total_ = camera->last_ - camera->first_;
+  if (options.passes > 1) {
+    const auto planned = camera->plan_passes();
+    if (!planned) return planned.error();
+  }
   const auto sizes = camera->check_size();
   if (!sizes) return sizes.error();
   return camera;
@@ -81,6 +86,37 @@ rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& 
 
 std::string ReplayCamera::picture_file(const SequenceEntry& entry) const {
   return fs::path(layout_.pictures) / entry.file;
+}
+
+rt::Result<void> ReplayCamera::plan_passes() {
+  for (std::int64_t i = first_; i < last_; ++i) {
+    if (index_.entries[static_cast<std::size_t>(i)].fault == TimeFault::kNone) way_.push_back(i);
+  }
+  if (way_.size() < 2) {
+    return rt::Error{layout_.index_file + ": " + std::to_string(way_.size()) +
+                     " pictures with a time; to fly them forth and back takes two at least"};
+  }
+  total_ = options_.passes * (static_cast<std::int64_t>(way_.size()) - 1) + 1;
+  return {};
+}
+
+const SequenceEntry& ReplayCamera::entry_at(std::int64_t number, rt::TimeNs* t_ns) const {
+  if (way_.empty()) {
+    const SequenceEntry& entry = index_.entries[static_cast<std::size_t>(first_ + number)];
+    *t_ns = entry.t_ns;
+    return entry;
+  }
+  const std::int64_t steps = static_cast<std::int64_t>(way_.size()) - 1;
+  const std::int64_t pass = number / steps;
+  const std::int64_t step = number % steps;
+  const bool back = pass % 2 == 1;
+  const auto at = [&](std::int64_t place) -> const SequenceEntry& {
+    return index_.entries[static_cast<std::size_t>(way_[static_cast<std::size_t>(place)])];
+  };
+  const SequenceEntry& entry = at(back ? steps - step : step);
+  const rt::TimeNs into = back ? at(steps).t_ns - entry.t_ns : entry.t_ns - at(0).t_ns;
+  *t_ns = at(0).t_ns + pass * (at(steps).t_ns - at(0).t_ns) + into;
+  return entry;
 }
 
 rt::Result<void> ReplayCamera::check_size() {
@@ -103,16 +139,17 @@ rt::Result<void> ReplayCamera::check_size() {
 
 CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs /*timeout_ns*/,
                                 CapturedFrame* frame, std::string* why) {
-  if (next_ >= last_) return CameraStatus::kEnd;
-  if (next_ == first_) {
+  if (next_ >= total_) return CameraStatus::kEnd;
+  rt::TimeNs t_ns = 0;
+  const SequenceEntry& entry = entry_at(next_, &t_ns);
+  if (next_ == 0) {
     const rt::TimeNs first_capture =
         options_.pace == ReplayOptions::Pace::kReal ? rt::monotonic_now_ns() + kLeadNs : rt::kNsPerSecond;
-    rebase_ns_ = first_capture - index_.entries[static_cast<std::size_t>(first_)].t_ns;
+    rebase_ns_ = first_capture - t_ns;
   }
-  const SequenceEntry& entry = index_.entries[static_cast<std::size_t>(next_)];
-  frame->t_source_ns = entry.t_ns;
-  frame->t_capture_ns = entry.t_ns + rebase_ns_;
-  frame->sequence = static_cast<std::uint32_t>(next_ - first_);
+  frame->t_source_ns = t_ns;
+  frame->t_capture_ns = t_ns + rebase_ns_;
+  frame->sequence = static_cast<std::uint32_t>(next_);
   ++next_;
 
   const auto bad = [&](std::uint64_t* counter, const std::string& reason) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
@@ -33,6 +34,9 @@ struct ReplayOptions {
   Pace pace = Pace::kMax;
   std::int64_t start = 0;   ///< pictures of the index left out at its beginning
   std::int64_t frames = 0;  ///< pictures taken from there; 0: all
+  /// Times the chosen part is flown: forth, back, forth .. without a jump. The picture at a turn is shown once; times
+  /// go on as if the way back took as long as the way there, and entries whose time is wrong are left out.
+  std::int64_t passes = 1;
 };
 
 struct ReplayCounters {
@@ -63,13 +67,16 @@ class ReplayCamera final : public Camera {
   const CameraCalibration& calibration() const { return calibration_; }
   const SequenceLayout& layout() const { return layout_; }
   /// Pictures that will be due in all.
-  std::int64_t total() const { return last_ - first_; }
+  std::int64_t total() const { return total_; }
   const ReplayCounters& counters() const { return counters_; }
 
  private:
   ReplayCamera() = default;
   rt::Result<void> check_size();
   std::string picture_file(const SequenceEntry& entry) const;
+  rt::Result<void> plan_passes();
+  /// The entry that is due as picture `number`, and its time.
+  const SequenceEntry& entry_at(std::int64_t number, rt::TimeNs* t_ns) const;
 
   ReplayOptions options_;
   SequenceLayout layout_;
@@ -77,8 +84,10 @@ class ReplayCamera final : public Camera {
   CameraCalibration calibration_;
   PictureDecoder decoder_;
   ReplayCounters counters_;
-  std::int64_t first_ = 0, next_ = 0, last_ = 0;  ///< places in the index
-  rt::TimeNs rebase_ns_ = 0;                      ///< capture time = listed time + rebase_ns_
+  std::int64_t first_ = 0, last_ = 0;  ///< places in the index
+  std::int64_t next_ = 0, total_ = 0;  ///< pictures due so far, and in all
+  std::vector<std::int64_t> way_;      ///< several passes: places in the index, from end to end
+  rt::TimeNs rebase_ns_ = 0;           ///< capture time = listed time + rebase_ns_
 };
 
 }  // namespace godwit::hal

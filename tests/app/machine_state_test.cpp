@@ -1,0 +1,48 @@
+#include "hal/machine/machine_state.h"
+
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "tests/support/temp_folder.h"
+
+namespace godwit::hal {
+namespace {
+
+using test::TempFolder;
+using test::write_file;
+
+TEST(MachineMonitor, TheHottestZoneCounts) {
+  const TempFolder sys;
+  write_file(sys / "class/thermal/thermal_zone0/temp", "45000\n");
+  write_file(sys / "class/thermal/thermal_zone1/temp", "71500\n");
+  write_file(sys / "class/thermal/thermal_zone2/temp", "");  // switched off
+  const MachineMonitor monitor(sys.path());
+  EXPECT_DOUBLE_EQ(monitor.read().temperature_c, 71.5);
+  EXPECT_FALSE(monitor.read().throttled);
+  write_file(sys / "class/thermal/thermal_zone0/temp", "90000\n");
+  EXPECT_DOUBLE_EQ(monitor.read().temperature_c, 90) << "read anew each time";
+}
+
+TEST(MachineMonitor, ProcessorsSlowedDownAreThrottlingAFanIsNot) {
+  const TempFolder sys;
+  write_file(sys / "class/thermal/cooling_device0/type", "pwm-fan\n");
+  write_file(sys / "class/thermal/cooling_device0/cur_state", "3\n");
+  write_file(sys / "class/thermal/cooling_device1/type", "cpufreq-cpu0\n");
+  write_file(sys / "class/thermal/cooling_device1/cur_state", "0\n");
+  write_file(sys / "class/thermal/cooling_device2/type", "Processor\n");
+  write_file(sys / "class/thermal/cooling_device2/cur_state", "0\n");
+  const MachineMonitor monitor(sys.path());
+  EXPECT_FALSE(monitor.read().throttled);
+  write_file(sys / "class/thermal/cooling_device2/cur_state", "1\n");
+  EXPECT_TRUE(monitor.read().throttled);
+}
+
+TEST(MachineMonitor, AMachineWithoutSensorsIsUnknownNotHot) {
+  const TempFolder sys;
+  const MachineMonitor monitor(sys.path());
+  EXPECT_TRUE(std::isnan(monitor.read().temperature_c));
+  EXPECT_FALSE(monitor.read().throttled);
+}
+
+}  // namespace
+}  // namespace godwit::hal

@@ -1,0 +1,270 @@
+// Armed: camera, tracker, mapper and link threads under traps for heap and locks, page faults counted. 1,000 frames, or
+//   GODWIT_ARMED_FRAMES=10000 GODWIT_ARMED_FPS=30 [GODWIT_ARMED_LOAD=1] armed_test --gtest_filter=Armed.*
+// which also prints the figures of README.md. LOAD: a program that computes without end on the last processor.
+#include <algorithm>
+#include <atomic>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <mutex>
+#include <sys/mman.h>
+#include <thread>
+#include <unistd.h>
+
+#include "firmware_app/link/link_service.h"
+#include "firmware_app/pipeline/arming.h"
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/lock_hook.h"
+#include "hal/rt/rt_scope.h"
+#include "tests/realtime/flown.h"
+
+namespace godwit::app {
+namespace {
+
+using testing::HasSubstr;
+
+void set_traps(bool on) {
+  rt::trap_heap_use(on);
+  rt::trap_lock_use(on);
+}
+
+/// What the link thread is given, from the tracker's thread.
+class Poses final : public FrameTap {
+ public:
+  explicit Poses(link::LinkService* service) : service_(service) {}
+  void frame_done(const FrameRecord& r) override {
+    link::PoseSample sample;
+    sample.t_capture_ns = r.t_capture_ns;
+    sample.state = r.tracked ? link::PoseState::kTracking : link::PoseState::kRelocalising;
+    sample.map_id = r.map_id;
+    sample.position = r.t_world_cam;
+    sample.orientation = {r.q_world_cam[3], r.q_world_cam[0], r.q_world_cam[1], r.q_world_cam[2]};
+    for (std::size_t i = 0; i < 36; i += 7) sample.covariance[i] = 0.01;
+    service_->publish(sample);
+  }
+
+ private:
+  link::LinkService* service_;
+};
+
+/// Computes on memory larger than a core's cache, as a network does, on the last processor.
+class Load {
+ public:
+  explicit Load(bool on) {
+    if (!on) return;
+    thread_ = std::thread([this] {
+      rt::apply_plan(pthread_self(), "load", {{static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN)) - 1}, 0});
+      std::vector<float> a(2'000'000, 1.0F);
+      while (!stop_.load(std::memory_order_relaxed)) {
+        for (float& v : a) v = v * 0.999F + 0.001F;
+      }
+    });
+  }
+  ~Load() {
+    stop_.store(true);
+    if (thread_.joinable()) thread_.join();
+  }
+
+ private:
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+double percentile(std::vector<double> values, double p) {
+  if (values.empty()) return 0;
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(p * static_cast<double>(values.size() - 1))];
+}
+
+TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
+  const int frames = test::from_environment("GODWIT_ARMED_FRAMES", 1000);
+  const int fps = test::from_environment("GODWIT_ARMED_FPS", 60);
+  const bool loaded = test::from_environment("GODWIT_ARMED_LOAD", 0) != 0;
+  LoopedPictures::Options camera_options;
+  camera_options.interval_ns = rt::kNsPerSecond / fps;
+  camera_options.total = frames;
+  const auto camera = test::camera_of(camera_options);
+  test::Odometry odometry;
+  test::Notes notes(static_cast<std::size_t>(frames));
+
+  link::LinkSettings settings;
+  settings.can = "multicast:7";
+  auto service = link::LinkService::open(settings);
+  ASSERT_TRUE(service.ok()) << service.error().message;
+  Poses poses(service.value().get());
+
+  Config config;
+  config.threads.lock_memory = true;
+  config.threads.camera.priority = 60;
+  config.threads.tracker.priority = 50;
+  config.threads.mapper.priority = 10;
+  if (loaded) config.threads.camera.cpus = config.threads.tracker.cpus = config.threads.mapper.cpus = {0};
+  PipelineOptions options;
+  options.newest_frame = true;
+  options.tap = &poses;
+  plan_pipeline(config, fps, &options);
+  const Load load(loaded);
+
+  std::atomic<bool> landed{false};
+  rt::PageFaults link_faults;
+  std::uint64_t link_steps = 0;
+  rt::Thread link;
+  const std::string refused = arm_memory(config);
+  set_traps(true);
+  ASSERT_TRUE(link.start("gw-link", {{}, geteuid() == 0 ? 40 : 0},
+                         [&] {
+                           const rt::PageFaults before = rt::thread_page_faults();
+                           {
+                             const rt::RtScope real_time;
+                             while (!landed.load(std::memory_order_relaxed)) {
+                               service.value()->wait(5 * rt::kNsPerMs);
+                               service.value()->step(rt::monotonic_now_ns());
+                               ++link_steps;
+                             }
+                           }
+                           link_faults = rt::thread_page_faults() - before;
+                         })
+                  .ok());
+  const long resident_before = test::resident_kb();
+  const std::atomic<bool> stop{false};
+  const auto run = run_pipeline(camera.get(), odometry.stage.get(), odometry.pool.get(), options, &notes, stop);
+  const long resident_after = test::resident_kb();
+  landed.store(true);
+  link.join();
+  set_traps(false);
+  munlockall();
+
+  ASSERT_TRUE(run.ok()) << run.error().message;
+  const PipelineCounters& c = run.value();
+  EXPECT_EQ(c.due, static_cast<std::uint64_t>(frames));
+  int tracked = 0;
+  std::vector<double> ages, tracker;
+  for (const FrameRecord& r : notes.records) {
+    tracked += r.tracked ? 1 : 0;
+    if (!r.tracked) continue;
+    ages.push_back(rt::to_ms(r.t_done_ns - r.t_capture_ns));
+    tracker.push_back(rt::to_ms(r.wall_ns));
+  }
+  EXPECT_GT(tracked, frames / 2) << "what is not flown proves nothing";
+  EXPECT_GT(link_steps, static_cast<std::uint64_t>(frames) / 2);
+  // The traps would have ended the program: heap and locks are proven by our being here.
+  if (refused.empty()) {
+    for (const ThreadReport& t : c.threads) {
+      if (t.name == std::string("mapper")) continue;  // bounded, but not under this rule
+      EXPECT_EQ(t.faults.minor, 0) << t.name;
+      EXPECT_EQ(t.faults.major, 0) << t.name;
+    }
+    EXPECT_EQ(link_faults.minor, 0);
+    EXPECT_EQ(link_faults.major, 0);
+  } else {
+    std::printf("page faults are not held against it: %s\n", refused.c_str());
+  }
+  for (const ThreadReport& t : c.threads) EXPECT_LT(t.stack_used, rt::kThreadStackBytes * 3 / 4) << t.name;
+  EXPECT_LT(resident_after - resident_before, 1024) << "[kB] memory is constant in flight";
+
+  std::printf(
+      "%d frames at %d a second%s: %d tracked, %llu late, %llu dropped; capture to pose median %.2f ms, p99 %.2f, "
+      "max %.2f; tracker median %.2f, p99 %.2f, max %.2f\n",
+      frames, fps, loaded ? " beside a load" : "", tracked, static_cast<unsigned long long>(c.scheduler.slips),
+      static_cast<unsigned long long>(c.dropped_late + c.dropped_slots), percentile(ages, 0.5), percentile(ages, 0.99),
+      percentile(ages, 1), percentile(tracker, 0.5), percentile(tracker, 0.99), percentile(tracker, 1));
+  for (const ThreadReport& t : c.threads) {
+    std::printf("thread %s: %lld minor, %lld major faults, %zu kB of stack\n", t.name,
+                static_cast<long long>(t.faults.minor), static_cast<long long>(t.faults.major), t.stack_used / 1024);
+  }
+  std::printf(
+      "thread link: %lld minor, %lld major faults, %zu kB of stack, %llu steps\nmemory grew by %ld kB to %ld kB\n",
+      static_cast<long long>(link_faults.minor), static_cast<long long>(link_faults.major), link.stack_used() / 1024,
+      static_cast<unsigned long long>(link_steps), resident_after - resident_before, resident_after);
+}
+
+/// Tracks nothing and misbehaves on each frame.
+class Offender final : public FrameStage {
+ public:
+  enum class Offence { kHeap, kLock, kPages };
+  Offender(rt::FramePool* pool, Offence offence) : return_(pool->reader(kTrackerReader)), offence_(offence) {}
+  void track(const rt::FrameHandle& frame, FrameRecord* record) override {
+    record->state = "LOST";
+    if (offence_ == Offence::kHeap) kept_ = std::make_unique<int>(3);
+    if (offence_ == Offence::kLock) const std::lock_guard<std::mutex> held(mutex_);
+    if (offence_ == Offence::kPages) {
+      constexpr std::size_t kBytes = 4 * 4096;
+      void* const page = mmap(nullptr, kBytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+      for (std::size_t i = 0; i < kBytes; i += 4096) static_cast<volatile char*>(page)[i] = 1;
+      munmap(page, kBytes);
+    }
+    return_.give_back(frame.slot, kFrameReaders);
+  }
+  int mapper_backlog() const override { return 0; }
+  bool map_step() override { return false; }
+
+ private:
+  rt::FrameReturn return_;
+  const Offence offence_;
+  std::mutex mutex_;
+  std::unique_ptr<int> kept_;
+};
+
+/// A grey camera of few pixels; real-time, so its thread is marked too.
+class PlainCamera final : public hal::Camera {
+ public:
+  explicit PlainCamera(bool offends) : offends_(offends) {}
+  int width() const override { return 64; }
+  int height() const override { return 64; }
+  int channels() const override { return 1; }
+  bool real_time() const override { return true; }
+  hal::CameraStatus next(const rt::MutableImageView&, std::uint8_t*, rt::TimeNs, hal::CapturedFrame* frame,
+                         std::string*) override {
+    if (sequence_ == 20) return hal::CameraStatus::kEnd;
+    if (offends_) kept_ = std::make_unique<int>(4);
+    frame->sequence = sequence_++;
+    frame->t_capture_ns = frame->sequence * rt::kNsPerMs + rt::kNsPerSecond;
+    return hal::CameraStatus::kFrame;
+  }
+
+ private:
+  const bool offends_;
+  std::uint32_t sequence_ = 0;
+  std::unique_ptr<int> kept_;
+};
+
+PipelineCounters fly_offence(Offender::Offence offence, bool camera_offends) {
+  rt::FramePool::Layout layout;
+  layout.width = layout.height = 64;
+  layout.slots = 8;
+  layout.readers = kFrameReaders;
+  const auto pool = std::move(rt::FramePool::create(layout)).value();
+  Offender stage(pool.get(), offence);
+  PlainCamera camera(camera_offends);
+  test::Notes notes(20);
+  const std::atomic<bool> stop{false};
+  auto run = run_pipeline(&camera, &stage, pool.get(), {}, &notes, stop);
+  return run.ok() ? run.value() : PipelineCounters{};
+}
+
+TEST(ArmedDeathTest, ATrackerThatAllocatesIsCaught) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_DEATH((set_traps(true), fly_offence(Offender::Offence::kHeap, false)),
+               "memory was allocated on a real-time thread");
+}
+
+TEST(ArmedDeathTest, ATrackerThatLocksIsCaught) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_DEATH((set_traps(true), fly_offence(Offender::Offence::kLock, false)),
+               "a mutex, condition or lock was used on a real-time thread");
+}
+
+TEST(ArmedDeathTest, ACameraThatAllocatesIsCaught) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_DEATH((set_traps(true), fly_offence(Offender::Offence::kPages, true)),
+               "memory was allocated on a real-time thread");
+}
+
+TEST(Armed, ATrackerThatFaultsPagesIsCounted) {
+  const PipelineCounters c = fly_offence(Offender::Offence::kPages, false);
+  ASSERT_EQ(c.threads.size(), 3u);
+  EXPECT_STREQ(c.threads[1].name, "tracker");
+  EXPECT_GE(c.threads[1].faults.minor, 20) << "a page or more each frame";
+}
+
+}  // namespace
+}  // namespace godwit::app

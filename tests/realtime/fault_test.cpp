@@ -1,0 +1,234 @@
+// What goes wrong in flight, with the real odometry at real pace: tracking goes on, or the state says that it does not.
+#include <algorithm>
+#include <atomic>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <thread>
+
+#include "hal/rt/wake_up.h"
+#include "tests/realtime/flown.h"
+
+namespace godwit::app {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr rt::TimeNs kInterval = 33'333'333;
+
+/// Passes another camera's pictures on and spoils them as the test says.
+class SpoiltCamera final : public hal::Camera {
+ public:
+  explicit SpoiltCamera(std::unique_ptr<LoopedPictures> good) : good_(std::move(good)) {}
+  /// From picture `first` on, `count` of them never come; their time passes.
+  int silent_first = -1, silent_count = 0;
+  /// From picture `first` on, `count` of them carry a capture time that is off by so much.
+  int jump_first = -1, jump_count = 0;
+  rt::TimeNs jump_ns = 0;
+
+  int width() const override { return good_->width(); }
+  int height() const override { return good_->height(); }
+  int channels() const override { return 1; }
+  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
+                         hal::CapturedFrame* frame, std::string* why) override {
+    const hal::CameraStatus status = good_->next(grey, bgr, timeout_ns, frame, why);
+    if (status != hal::CameraStatus::kFrame) return status;
+    const auto number = static_cast<int>(frame->sequence);
+    if (number >= silent_first && number < silent_first + silent_count) return hal::CameraStatus::kTimeout;
+    if (number >= jump_first && number < jump_first + jump_count) frame->t_capture_ns += jump_ns;
+    return status;
+  }
+
+ private:
+  std::unique_ptr<LoopedPictures> good_;
+};
+
+/// What an autopilot would have been told, by time.
+class Told final : public FrameTap {
+ public:
+  void frame_done(const FrameRecord& record) override {
+    if (record.tracked) last_pose_ns_.store(record.t_done_ns);
+  }
+  void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override {
+    silences.fetch_add(1);
+    longest_ns.store(std::max(longest_ns.load(), now_ns - t_last_capture_ns));
+  }
+  std::atomic<int> silences{0};
+  std::atomic<rt::TimeNs> longest_ns{0};
+
+ private:
+  std::atomic<rt::TimeNs> last_pose_ns_{0};
+};
+
+struct FaultFlight {
+  explicit FaultFlight(int frames, bool with_detector = false, rt::TimeNs interval_ns = kInterval)
+      : odometry(with_detector), notes(static_cast<std::size_t>(frames)) {
+    LoopedPictures::Options options;
+    options.interval_ns = interval_ns;
+    options.total = frames;
+    camera = std::make_unique<SpoiltCamera>(test::camera_of(options));
+    pipeline.newest_frame = true;
+    pipeline.tap = &told;
+    pipeline.scheduler.frame_ns = interval_ns;
+  }
+  PipelineCounters fly(FrameStage* stage = nullptr, FrameSink* sink = nullptr) {
+    const std::atomic<bool> stop{false};
+    auto run = run_pipeline(camera.get(), stage != nullptr ? stage : odometry.stage.get(), odometry.pool.get(),
+                            pipeline, sink != nullptr ? sink : &notes, stop);
+    EXPECT_TRUE(run.ok());
+    return run.ok() ? run.value() : PipelineCounters{};
+  }
+  /// Share of the pictures from `first` on, up to `last`, that were tracked.
+  double tracked(std::uint32_t first, std::uint32_t last) const {
+    int all = 0, good = 0;
+    for (const FrameRecord& r : notes.records) {
+      if (r.sequence < first || r.sequence >= last) continue;
+      ++all;
+      good += r.tracked ? 1 : 0;
+    }
+    return all > 0 ? static_cast<double>(good) / all : 0;
+  }
+
+  test::Odometry odometry;
+  std::unique_ptr<SpoiltCamera> camera;
+  test::Notes notes;
+  Told told;
+  PipelineOptions pipeline;
+};
+
+TEST(Fault, ADetectorThatHangsIsGivenUpOnAndTrackingGoesOn) {
+  struct Hanging final : DetectorStage {
+    std::atomic<bool> release{false};
+    std::atomic<int> calls{0};
+    bool detect(const DetectorJob& job) override {
+      EXPECT_GT(job.input_px, 0);
+      if (++calls < 5) return true;
+      while (!release.load()) std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      return true;
+    }
+  } detector;
+  FaultFlight f(240, true);
+  f.pipeline.detector = &detector;
+  f.pipeline.scheduler.detector_stuck_ns = 500 * rt::kNsPerMs;
+  std::thread later([&] {
+    std::this_thread::sleep_for(std::chrono::seconds(6));
+    detector.release.store(true);
+  });
+  const PipelineCounters c = f.fly();
+  later.join();
+  EXPECT_EQ(c.scheduler.detector_stuck, 1u);
+  EXPECT_TRUE(f.notes.heard("detector hangs"));
+  EXPECT_TRUE(f.notes.heard("detector is back"));
+  EXPECT_GT(detector.calls.load(), 5) << "it works again";
+  EXPECT_GT(f.tracked(90, 240), 0.9);
+  EXPECT_EQ(f.odometry.pool->exhausted(), 0u) << "it holds one slot, not all";
+}
+
+TEST(Fault, AMapperThatStallsForTwoSecondsStopsNobody) {
+  struct Stalling final : FrameStage {
+    FrameStage* good = nullptr;
+    std::atomic<std::uint32_t> frame{0};
+    std::atomic<bool> stalled{false};
+    void track(const rt::FrameHandle& handle, FrameRecord* record) override {
+      good->track(handle, record);
+      frame.store(handle.meta.sequence);
+    }
+    int mapper_backlog() const override { return good->mapper_backlog(); }
+    bool map_step() override {
+      if (frame.load() >= 60 && !stalled.exchange(true)) std::this_thread::sleep_for(std::chrono::seconds(2));
+      return good->map_step();
+    }
+  } stalling;
+  FaultFlight f(180);
+  stalling.good = f.odometry.stage.get();
+  const PipelineCounters c = f.fly(&stalling);
+  EXPECT_TRUE(stalling.stalled.load());
+  EXPECT_EQ(c.dropped_slots, 0u) << "what the mapper does not take holds no slots";
+  EXPECT_GT(f.tracked(62, 180), 0.9);
+}
+
+TEST(Fault, ASilentCameraIsToldAndNoOldPoseIsGivenOut) {
+  FaultFlight f(200);
+  f.camera->silent_first = 60;
+  f.camera->silent_count = 90;
+  f.fly();
+  EXPECT_TRUE(f.notes.heard("no picture"));
+  EXPECT_TRUE(f.notes.heard("pictures again"));
+  EXPECT_GT(f.told.silences.load(), 10) << "for three seconds, some ten times a second";
+  EXPECT_GT(f.told.longest_ns.load(), 2 * rt::kNsPerSecond);
+  for (const FrameRecord& r : f.notes.records) EXPECT_FALSE(r.sequence >= 60 && r.sequence < 150) << r.sequence;
+  ASSERT_FALSE(f.notes.records.empty());
+  EXPECT_EQ(f.notes.records.back().sequence, 199u) << "and then it goes on";
+}
+
+TEST(Fault, ACameraClockThatJumpsIsFoundOut) {
+  for (const rt::TimeNs jump : {5 * rt::kNsPerSecond, -5 * rt::kNsPerSecond, -10 * rt::kNsPerMs * 5}) {
+    FaultFlight f(120);
+    f.camera->jump_first = 60;
+    f.camera->jump_count = 12;
+    f.camera->jump_ns = jump;
+    const PipelineCounters c = f.fly();
+    EXPECT_GT(c.bad, 0u);
+    rt::TimeNs last = 0;
+    for (const FrameRecord& r : f.notes.records) {
+      if (r.fate == FrameFate::kBadPicture) {
+        EXPECT_THAT(std::string(r.reason.view()), HasSubstr("camera clock: "));
+      }
+      if (r.fate != FrameFate::kProcessed) continue;
+      EXPECT_GT(r.t_capture_ns, last) << "time never goes back for the odometry";
+      EXPECT_GE(r.t_done_ns + 5 * rt::kNsPerMs, r.t_capture_ns) << "nor ahead of the clock";
+      last = r.t_capture_ns;
+    }
+    EXPECT_GT(f.tracked(80, 120), 0.5) << "when the clock is right again it goes on";
+  }
+}
+
+TEST(Fault, ALogThatBlocksHoldsNothingUp) {
+  struct Blocking final : FrameSink {
+    explicit Blocking(test::Notes* notes) : notes_(notes) {}
+    rt::Result<void> take(const FrameRecord& record) override {
+      if (record.sequence == 30) std::this_thread::sleep_for(std::chrono::seconds(3));
+      return notes_->take(record);
+    }
+    test::Notes* notes_;
+  };
+  // 100 frames a second: three seconds are more than the ring of records holds.
+  FaultFlight f(600, false, 10 * rt::kNsPerMs);
+  f.pipeline.scheduler.deadline_ns = rt::kNsPerSecond;
+  Blocking blocking(&f.notes);
+  const PipelineCounters c = f.fly(nullptr, &blocking);
+  EXPECT_GT(c.records_lost, 0u);
+  EXPECT_EQ(c.records_lost + c.due, 600u) << "what is lost is counted";
+  EXPECT_EQ(c.dropped_slots, 0u);
+  EXPECT_EQ(f.told.silences.load(), 0) << "the tracker never stood still";
+}
+
+TEST(Fault, SixtyFramesASecondGiveTheNewestAndCountTheRest) {
+  // A tracker that needs 25 ms: it cannot keep up, and must not fall behind.
+  struct Slow final : FrameStage {
+    FrameStage* good = nullptr;
+    void track(const rt::FrameHandle& handle, FrameRecord* record) override {
+      rt::sleep_until_ns(rt::monotonic_now_ns() + 25 * rt::kNsPerMs);
+      good->track(handle, record);
+    }
+    int mapper_backlog() const override { return good->mapper_backlog(); }
+    bool map_step() override { return good->map_step(); }
+  } slow;
+  constexpr rt::TimeNs kSixty = rt::kNsPerSecond / 60;
+  FaultFlight f(240, false, kSixty);
+  slow.good = f.odometry.stage.get();
+  const PipelineCounters c = f.fly(&slow);
+  EXPECT_EQ(c.due, 240u);
+  EXPECT_GT(c.dropped_late, 50u);
+  EXPECT_EQ(c.processed + c.dropped_late, 240u);
+  // How old a picture was when the tracker took it: the newest there was is at most a frame interval old, a moment
+  // more where this machine has other things to do.
+  std::vector<rt::TimeNs> waited;
+  for (const FrameRecord& r : f.notes.records) {
+    if (r.fate == FrameFate::kProcessed) waited.push_back(r.t_done_ns - r.wall_ns - r.t_capture_ns);
+  }
+  std::sort(waited.begin(), waited.end());
+  EXPECT_LT(waited[waited.size() / 2], 2 * kSixty);
+}
+
+}  // namespace
+}  // namespace godwit::app

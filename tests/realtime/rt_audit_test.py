@@ -1,0 +1,50 @@
+"""toolchain/rt_audit on the real archives, and on one with deliberate offences: rt_audit_test.py TOOLCHAIN ARCHIVE.."""
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+AUDIT = pathlib.Path(sys.argv[1]) / 'rt_audit'
+LIST = pathlib.Path(sys.argv[1]) / 'rt_audit.txt'
+OFFENDER = '''
+#include <mutex>
+#include <string>
+#include <vector>
+int* leak() { return new int(3); }
+void lock(std::mutex& m) { m.lock(); }
+void text(std::string& s) { s.append("x"); }
+void grow(std::vector<int>& v) { v.push_back(1); }
+int innocent(int a) { return a + 1; }
+'''
+
+
+def audit(*arguments):
+    done = subprocess.run([AUDIT, *arguments], capture_output=True, text=True)
+    return done.returncode, done.stdout
+
+
+def main():
+    code, said = audit(LIST, *sys.argv[2:])
+    print(said)
+    assert code == 0, 'the archives call what no line of rt_audit.txt explains, or a line explains nothing'
+
+    with tempfile.TemporaryDirectory() as folder:
+        root = pathlib.Path(folder)
+        (root / 'offender.cpp').write_text(OFFENDER)
+        subprocess.run(['c++', '-O2', '-fPIC', '-c', 'offender.cpp'], cwd=root, check=True)
+        subprocess.run(['ar', 'rc', 'offender.a', 'offender.o'], cwd=root, check=True)
+        (root / 'list.txt').write_text('# nothing is allowed\n')
+        code, said = audit(root / 'list.txt', root / 'offender.a')
+        assert code == 1, said
+        for offence in ('leak() calls operator new', 'lock(std::mutex&) calls pthread_mutex_lock', 'text(', 'grow('):
+            assert offence in said, f'{offence} not found in: {said}'
+        assert 'innocent' not in said, said
+
+        (root / 'list.txt').write_text('.* | .* | all of it\ngone\\(\\) | malloc | was there once\n')
+        code, said = audit(root / 'list.txt', root / 'offender.a')
+        assert code == 1 and 'list.txt:2: explains a call that is not there' in said, said
+        (root / 'list.txt').write_text('.* | .* | all of it\n')
+        assert audit(root / 'list.txt', root / 'offender.a')[0] == 0
+
+
+main()
