@@ -78,6 +78,7 @@ void LinkRunner::frame_done(const FrameRecord& record) {
 }
 
 void LinkRunner::run_link() {
+  const rt::PageFaults before = rt::thread_page_faults();
   // After RestartNode it goes on, so that the answer is sent and the node is seen until the process ends.
   while (!ending_.load(std::memory_order_relaxed)) {
     service_->wait(kStepNs);
@@ -85,6 +86,7 @@ void LinkRunner::run_link() {
     service_->step(rt::monotonic_now_ns());
     if (service_->node().restart_due()) restart_due_.store(true, std::memory_order_relaxed);
   }
+  faults_ = rt::thread_page_faults() - before;
 }
 
 void LinkRunner::run_keeper() {

@@ -53,6 +53,8 @@ class LinkRunner final : public FrameTap {
 
   /// Ends the threads and returns the last status. Afterwards nothing is sent any more.
   const link::LinkStatus& finish();
+  /// How gw-link fared; valid after finish().
+  ThreadReport thread_report() const { return {"gw-link", faults_, link_thread_.stack_used()}; }
 
  private:
   LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::LinkService> service,
@@ -77,6 +79,7 @@ class LinkRunner final : public FrameTap {
   rt::TimeNs t_next_health_ns_ = 0;
   std::string told_storage_error_;
   const hal::MachineMonitor machine_;  ///< keeper's
+  rt::PageFaults faults_;              ///< link thread's, from its first step on; finish() joins it
   rt::Thread link_thread_;
   std::thread keeper_thread_;
 };

@@ -122,7 +122,12 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   const auto run = run_pipeline(source.value().camera.get(), stage.get(), pool.value().get(), options, &journal,
                                 autopilot != nullptr ? autopilot->stop() : stop);
   if (!run) return give_up(run.error().message);
-  tell(run.value(), journal.tracked());
+  PipelineCounters counters = run.value();
+  if (autopilot != nullptr) {
+    autopilot->finish();
+    counters.threads.push_back(autopilot->thread_report());
+  }
+  tell(counters, journal.tracked());
   if (autopilot == nullptr) return kExitDone;
   for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
   if (autopilot->restart_due()) {
