@@ -41,12 +41,12 @@ void Layout::build() {
 
 void Layout::paint(double x, double y, double dx, double dy, double half_along, double half_across, double brightness,
                    double grain) {
-  constexpr double k = kGroundTexelsPerM;
+  const double k = ground_.size() / kWorldM;
   ground_.rect(x * k, y * k, dx, dy, half_along * k, half_across * k, brightness, grain);
 }
 
 void Layout::spot(double x, double y, double radius, double brightness, double grain) {
-  constexpr double k = kGroundTexelsPerM;
+  const double k = ground_.size() / kWorldM;
   ground_.disc(x * k, y * k, radius * k, brightness, grain);
 }
 

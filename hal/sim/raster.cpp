@@ -75,16 +75,10 @@ struct TileRaster {
     const hn::RebindToUnsigned<decltype(d)> du;
     const int lanes = static_cast<int>(hn::Lanes(d));
     Renderer::Coefficients k = top;
-    for (int row = bounds.row0; row <= bounds.row1; ++row) {
-      if constexpr (kRolling) {
-        const float f = static_cast<float>(row) + 0.5f;
-        for (int i = 0; i < 3; ++i) {
-          for (int j = 0; j < 3; ++j) k.e[i][j] = top.e[i][j] + f * slope.e[i][j];
-          k.q[i] = top.q[i] + f * slope.q[i];
-        }
-      }
-      // What each sample's place within the pixel adds to each edge and to 1/z; constant over a tile.
-      float edge_at[kSamples][3], depth_at[kSamples], most[3] = {-1e30f, -1e30f, -1e30f};
+    // What each sample's place within the pixel adds to each edge and to 1/z; constant over a row of the tile.
+    float edge_at[kSamples][3], depth_at[kSamples], most[3];
+    const auto place_samples = [&] {
+      std::fill(most, most + 3, -1e30f);
       for (int s = 0; s < kSamples; ++s) {
         const float sx = kSampleU[s] * tile.dxdu + kSampleV[s] * tile.dxdv,
                     sy = kSampleU[s] * tile.dydu + kSampleV[s] * tile.dydv;
@@ -93,6 +87,17 @@ struct TileRaster {
           most[i] = std::max(most[i], edge_at[s][i]);
         }
         depth_at[s] = k.q[0] * sx + k.q[1] * sy;
+      }
+    };
+    if constexpr (!kRolling) place_samples();
+    for (int row = bounds.row0; row <= bounds.row1; ++row) {
+      if constexpr (kRolling) {
+        const float f = static_cast<float>(row) + 0.5f;
+        for (int i = 0; i < 3; ++i) {
+          for (int j = 0; j < 3; ++j) k.e[i][j] = top.e[i][j] + f * slope.e[i][j];
+          k.q[i] = top.q[i] + f * slope.q[i];
+        }
+        place_samples();
       }
       const auto linear = [&](const float* c, auto px, auto py) {
         return hn::MulAdd(hn::Set(d, c[0]), px, hn::MulAdd(hn::Set(d, c[1]), py, hn::Set(d, c[2])));

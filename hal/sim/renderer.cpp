@@ -302,9 +302,10 @@ void Renderer::collect(double t_s) {
   std::fill(heads_.begin(), heads_.end(), kNone);
   Surface ground;
   ground.texture = kTexGround;
-  ground.u = Vec3f(kGroundTexelsPerM, 0, 0);
-  ground.v = Vec3f(0, kGroundTexelsPerM, 0);
-  ground.detail_ratio = kDetailTexelsPerM / kGroundTexelsPerM;
+  const float texels_a_metre = static_cast<float>(world_.plan().ground_texels / kWorldM);
+  ground.u = Vec3f(texels_a_metre, 0, 0);
+  ground.v = Vec3f(0, texels_a_metre, 0);
+  ground.detail_ratio = static_cast<float>(kDetailTexelsPerM) / texels_a_metre;
   FrameSurface flat = frame_surface(ground, Mat3::Identity(), Vec3::Zero());
   flat.ground = true;
   Surface sky;

@@ -207,6 +207,10 @@ void read_world(Section s, WorldPlan* w) {
   s.real("ambient", 0.05, 1, &w->ambient);
   s.flag("night", &w->night);
   s.real("haze_m", 50, 1e5, &w->haze_m);
+  s.integer("ground_texels", 512, 4096, &w->ground_texels);
+  if ((w->ground_texels & (w->ground_texels - 1)) != 0) {
+    s.complain("ground_texels", "must be 512, 1024, 2048 or 4096");
+  }
   s.finish();
 }
 

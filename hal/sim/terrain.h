@@ -10,9 +10,6 @@ namespace godwit::sim {
 
 /// The world repeats itself with this period in x and y, so it has no edge.
 constexpr double kWorldM = 409.6;
-/// The ground's material map: 10 texels a metre.
-constexpr int kGroundTexels = 4096;
-constexpr double kGroundTexelsPerM = kGroundTexels / kWorldM;
 
 class Terrain {
  public:

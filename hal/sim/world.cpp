@@ -24,7 +24,7 @@ World::World(const WorldPlan& plan, std::uint64_t seed)
     : plan_(plan), seed_(seed), terrain_(plan.kind == WorldKind::kCorridor ? 0.0 : plan.relief_m, mix(seed, 0x7e44)) {
   const double e = plan.sun_elevation_deg * kRad, a = plan.sun_azimuth_deg * kRad;
   sun_ = Vec3(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
-  Canvas ground(kGroundTexels);
+  Canvas ground(plan.ground_texels);
   Layout(this, &ground).build();
   index_shades();
   light_ground(&ground);

@@ -24,6 +24,7 @@ struct WorldPlan {
   double ambient = 0.35;                                 ///< share of the sky in the light on flat ground
   bool night = false;                                    ///< street lamps instead of the sun
   double haze_m = 900;                                   ///< distance at which half of a thing's contrast is gone
+  int ground_texels = 4096;                              ///< a side of the ground's picture; a power of two from 512
 };
 
 enum class MoverKind : std::uint8_t { kPerson, kCar, kTruck };

@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "hal/camera/replay/replay_camera.h"
+#include "tests/sim/test_scenario.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -29,9 +30,9 @@ int lines(const fs::path& file) {
 class FlightFolder : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    auto scenario = sim::find_scenario("vibration", GODWIT_SCENARIO_DIR);
-    ASSERT_TRUE(scenario.ok());
-    flight_ = new sim::Flight(scenario.value(), 2);
+    sim::Scenario scenario = sim::test::scenario("vibration");
+    scenario.world.ground_texels = 1024;
+    flight_ = new sim::Flight(scenario, 2);
   }
   static void TearDownTestSuite() {
     delete flight_;
@@ -60,8 +61,9 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
     auto camera = hal::ReplayCamera::open((folder_ / layout).string(), {});
     ASSERT_TRUE(camera.ok()) << camera.error().message;
     const hal::CameraCalibration& c = camera.value()->calibration();
-    EXPECT_EQ(c.width, 640);
-    EXPECT_NEAR(c.fx, 450, 1e-9);
+    const int width = flight_->scenario().camera.rig.lens.width, height = flight_->scenario().camera.rig.lens.height;
+    EXPECT_EQ(c.width, width);
+    EXPECT_NEAR(c.fx, sim::test::kSmall ? 225 : 450, 1e-9);
     EXPECT_NEAR(c.distortion[0], -0.12, 1e-9);
     if (std::string(layout).empty()) {
       EXPECT_NEAR(c.readout_frames, 0.015 * 30, 1e-6);
@@ -69,15 +71,15 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
     ASSERT_TRUE(c.T_body_cam.has_value());
     EXPECT_NEAR((*c.T_body_cam)[4], 1, 1e-9) << "the picture's right is the body's right";
     // Lossless pictures come back as they were rendered.
-    std::vector<std::uint8_t> read(640 * 480), made(640 * 480);
+    std::vector<std::uint8_t> read(static_cast<std::size_t>(width * height)), made(read.size());
     hal::CapturedFrame frame, again;
     std::string why;
-    ASSERT_EQ(camera.value()->next({read.data(), 640, 480, 640}, nullptr, rt::kNsPerSecond, &frame, &why),
+    ASSERT_EQ(camera.value()->next({read.data(), width, height, width}, nullptr, rt::kNsPerSecond, &frame, &why),
               hal::CameraStatus::kFrame)
         << why;
     const auto direct = flight_->camera(0);
     direct->skip_to(150);
-    ASSERT_EQ(direct->next({made.data(), 640, 480, 640}, nullptr, 0, &again, &why), hal::CameraStatus::kFrame);
+    ASSERT_EQ(direct->next({made.data(), width, height, width}, nullptr, 0, &again, &why), hal::CameraStatus::kFrame);
     EXPECT_EQ(read, made);
     EXPECT_EQ(frame.t_source_ns, again.t_source_ns + 1000 * rt::kNsPerSecond);
   }

@@ -10,15 +10,13 @@
 #include <vector>
 
 #include "hal/sim/flight.h"
+#include "tests/sim/test_scenario.h"
 
 namespace godwit::sim {
 namespace {
 
-Scenario scenario(const std::string& name) {
-  rt::Result<Scenario> read = find_scenario(name, GODWIT_SCENARIO_DIR);
-  EXPECT_TRUE(read.ok()) << (read.ok() ? "" : read.error().message);
-  return std::move(read).value();
-}
+using test::kSmall;
+using test::scenario;
 
 struct Picture {
   cv::Mat grey, mask;  ///< mask: 0 where no mover is
@@ -44,10 +42,30 @@ Picture take(SimCamera* camera, int index) {
   return p;
 }
 
+/// Grey levels relative to their neighbourhood's mean and spread.
+cv::Mat structure(const cv::Mat& grey) {
+  cv::Mat g, mean, squares, spread, out;
+  grey.convertTo(g, CV_32F);
+  cv::GaussianBlur(g, mean, cv::Size(), 8);
+  cv::GaussianBlur(g.mul(g), squares, cv::Size(), 8);
+  cv::sqrt(cv::max(squares - mean.mul(mean), 0) + 4.0, spread);
+  cv::Mat((g - mean) / spread * 40 + 128).convertTo(out, CV_8U);
+  return out;
+}
+
 /// Median distance [px] of tracked still features to the epipolar line that the true motion gives them.
 double median_epipolar_error(const Flight& flight, int first, int second, int* tracks) {
   const std::unique_ptr<SimCamera> camera = flight.camera(0);
-  const Picture a = take(camera.get(), first), b = take(camera.get(), second);
+  const auto is_there = [&](int index) {
+    hal::CapturedFrame frame;
+    camera->skip_to(index);
+    return camera->next({}, nullptr, 0, &frame, nullptr) == hal::CameraStatus::kFrame;
+  };
+  const int step = second - first;
+  while (!is_there(first) || !is_there(second)) second = ++first + step;  // the scenario drops some
+  Picture a = take(camera.get(), first), b = take(camera.get(), second);
+  // The tracker takes a point to keep its brightness; flicker and exposure break that, so only structure is left in.
+  for (Picture* p : {&a, &b}) p->grey = structure(p->grey);
   cv::Mat still = a.mask == 0;
   cv::erode(still, still, cv::Mat(), cv::Point(-1, -1), 12);
   std::vector<cv::Point2f> pa, pb, back;
@@ -62,7 +80,9 @@ double median_epipolar_error(const Flight& flight, int first, int second, int* t
   std::vector<double> distance;
   for (std::size_t i = 0; i < pa.size(); ++i) {
     if (!ok[i] || !ok_back[i] || cv::norm(back[i] - pa[i]) > 0.3) continue;
-    if (pb[i].x < 5 || pb[i].y < 5 || pb[i].x > 634 || pb[i].y > 474) continue;
+    if (pb[i].x < 5 || pb[i].y < 5 || pb[i].x > static_cast<float>(b.grey.cols - 6) ||
+        pb[i].y > static_cast<float>(b.grey.rows - 6))
+      continue;
     if (b.mask.at<std::uint16_t>(static_cast<int>(pb[i].y), static_cast<int>(pb[i].x)) != 0) continue;
     // Poses of the very rows in which the feature is seen (the same for all rows with a global shutter).
     const auto pose = [&](int index, float row) {
@@ -98,23 +118,24 @@ TEST_P(Epipolar, TrackedFeaturesObeyTheTruth) {
   const double error = median_epipolar_error(flight, c.first, c.first + c.step, &tracks);
   std::printf("%s: median epipolar error %.3f px over %d tracks\n", c.name, error, tracks);
   RecordProperty("median_epipolar_px", std::to_string(error));
-  EXPECT_GE(tracks, c.tracks);
+  EXPECT_GE(tracks, kSmall ? c.tracks / 4 : c.tracks);
   EXPECT_LT(error, 0.2);
 }
 
-INSTANTIATE_TEST_SUITE_P(Scenarios, Epipolar,
-                         testing::Values(EpipolarCase{"street", 300, 6, 100}, EpipolarCase{"survey", 400, 5, 100},
-                                         EpipolarCase{"corridor", 600, 6, 60},
-                                         EpipolarCase{"take-off-and-land", 500, 5, 100},
-                                         EpipolarCase{"glare", 300, 6, 100}, EpipolarCase{"night", 400, 5, 40},
-                                         EpipolarCase{"vibration", 300, 5, 100},
-                                         EpipolarCase{"half-the-picture-moving", 400, 5, 40},
-                                         EpipolarCase{"low-texture", 450, 4, 40}),
-                         [](const auto& test) {
-                           std::string name = test.param.name;
-                           std::replace(name.begin(), name.end(), '-', '_');
-                           return name;
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    Scenarios, Epipolar,
+    testing::Values(EpipolarCase{"street", 300, 6, 100}, EpipolarCase{"survey", 400, 5, 100},
+                    EpipolarCase{"corridor", 600, 6, 60}, EpipolarCase{"take-off-and-land", 500, 5, 100},
+                    EpipolarCase{"glare", 300, 6, 100}, EpipolarCase{"night", 400, 5, 40},
+                    EpipolarCase{"vibration", 300, 5, 100}, EpipolarCase{"half-the-picture-moving", 400, 5, 40},
+                    EpipolarCase{"low-texture", 450, 4, 40}, EpipolarCase{"flicker-100hz", 300, 5, 100},
+                    EpipolarCase{"hover-in-crowd", 300, 15, 40}, EpipolarCase{"dropped-frames", 301, 5, 100},
+                    EpipolarCase{"rangefinder-jumps", 300, 5, 100}, EpipolarCase{"gnss-loss", 300, 5, 100}),
+    [](const auto& test) {
+      std::string name = test.param.name;
+      std::replace(name.begin(), name.end(), '-', '_');
+      return name;
+    });
 
 TEST(Lens, ProjectsAsOpenCvDoes) {
   const Lens lens = scenario("street").camera.rig.lens;
@@ -145,8 +166,8 @@ TEST(Depth, IsThatOfTheGround) {
   const Renderer& scene = camera->scene();
   const CameraPose& pose = scene.pose();
   int close = 0, all = 0;
-  for (int v = 10; v < 480; v += 20) {
-    for (int u = 10; u < 640; u += 20) {
+  for (int v = 10; v < camera->height(); v += 20) {
+    for (int u = 10; u < camera->width(); u += 20) {
       const std::size_t i = static_cast<std::size_t>(v * scene.stride() + u);
       const Vec3 ray = pose.R_world_cam * Vec3(scene.rays().x[i], scene.rays().y[i], 1);
       double low = 1, high = 400;
@@ -222,7 +243,8 @@ TEST(Pictures, SameSeedSamePicturesToTheBit) {
     const Picture pa = take(ca.get(), index), pb = take(cb.get(), index), pc = take(cc.get(), index);
     EXPECT_EQ(cv::norm(pa.grey, pb.grey, cv::NORM_INF), 0);
     EXPECT_EQ(cv::norm(pa.mask, pb.mask, cv::NORM_INF), 0);
-    EXPECT_GT(cv::norm(pa.grey, pc.grey, cv::NORM_L1) / (640 * 480), 5) << "another seed is another street";
+    EXPECT_GT(cv::norm(pa.grey, pc.grey, cv::NORM_L1) / static_cast<double>(pa.grey.total()), 5)
+        << "another seed is another street";
   }
 }
 

@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "hal/sim/flight.h"
+#include "tests/sim/test_scenario.h"
 
 namespace godwit::sim {
 namespace {
@@ -72,6 +73,7 @@ TEST_F(ScenarioFile, AbsurdValuesAreRefusedWithTheirRange) {
               HasSubstr("world.kind: 'moon' is unknown; allowed: residential, fields, snow"));
   EXPECT_THAT(error(leg_ + "[world]\nnight = 1\n"), HasSubstr("world.night: must be true or false"));
   EXPECT_THAT(error(leg_ + "[range]\nmin_m = 9\nmax_m = 5\n"), HasSubstr("range.min_m: must be below max_m"));
+  EXPECT_THAT(error(leg_ + "[world]\nground_texels = 1000\n"), HasSubstr("must be 512, 1024, 2048 or 4096"));
   EXPECT_THAT(error(leg_ + "[faults]\ngap_every_s = 1\ngap_s = 2\n"), HasSubstr("faults.gap_s: must be shorter"));
 }
 
@@ -116,9 +118,9 @@ TEST(Scenarios, ThereAreAllFourteen) {
 class EachScenario : public testing::TestWithParam<std::string> {};
 
 TEST_P(EachScenario, ReadsAndFliesClearOfEverything) {
-  const rt::Result<Scenario> read = find_scenario(GetParam(), GODWIT_SCENARIO_DIR);
-  ASSERT_TRUE(read.ok()) << read.error().message;
-  const Flight flight(read.value(), 1);
+  Scenario scenario = test::scenario(GetParam());
+  scenario.world.ground_texels = 512;  // colours keep nobody from flying
+  const Flight flight(scenario, 1);
   const rt::Result<void> clear = check_clearance(flight);
   EXPECT_TRUE(clear.ok()) << clear.error().message;
   EXPECT_GE(flight.duration_s(), 50);
