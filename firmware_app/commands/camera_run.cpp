@@ -47,6 +47,7 @@ void tell(const RunWriter& writer, const std::string& folder) {
         "tracking a frame: median {:.2f} ms, p95 {:.2f}, p99 {:.2f}, max {:.2f}; processor time with mapping: "
         "mean {:.2f} ms\n",
         s.ms.median, s.ms.p95, s.ms.p99, s.ms.max, s.proc_cpu_ms.mean);
+    fmt::print("rates: {:.1f} pictures and {:.1f} poses a second of flight\n", s.pictures_hz, s.poses_hz);
     if (s.age_ms.max > 0) {
       fmt::print("from capture to pose: median {:.2f} ms, p95 {:.2f}, p99 {:.2f}, max {:.2f}\n", s.age_ms.median,
                  s.age_ms.p95, s.age_ms.p99, s.age_ms.max);

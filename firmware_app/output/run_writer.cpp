@@ -123,6 +123,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     first_t_ns_ = r.t_source_ns;
     t_base_ns_ = r.t_capture_ns;
   }
+  last_t_ns_ = std::max(last_t_ns_, r.t_source_ns);
   const double ms = rt::to_ms(r.wall_ns);
   const double thread_cpu_ms = rt::to_ms(r.thread_cpu_ns);
   const double proc_cpu_ms = rt::to_ms(r.thread_cpu_ns + r.mapper_cpu_ns);
@@ -200,6 +201,11 @@ RunSummary RunWriter::summary() const {
   s.thread_cpu_ms = statistics_of(thread_cpu_ms_);
   s.proc_cpu_ms = statistics_of(proc_cpu_ms_);
   s.age_ms = statistics_of(age_ms_);
+  if (counters_.due > 1 && last_t_ns_ > first_t_ns_) {
+    // n pictures span n - 1 intervals.
+    s.pictures_hz = static_cast<double>(counters_.due - 1) / rt::to_seconds(last_t_ns_ - first_t_ns_);
+    s.poses_hz = s.pictures_hz * s.tracked_share;
+  }
   return s;
 }
 
@@ -228,6 +234,8 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
   line("ms", json_statistics(s.ms));
   line("thread_cpu_ms", json_statistics(s.thread_cpu_ms));
   line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
+  line("pictures_hz", fmt::format("{:.3f}", s.pictures_hz));
+  line("poses_hz", fmt::format("{:.3f}", s.poses_hz));
   if (!d.link.empty()) line("link", d.link);
   if (with_age_) {
     line("age_ms", json_statistics(s.age_ms));

@@ -30,6 +30,7 @@ struct RunSummary {
   std::uint32_t maps = 0;
   std::int64_t first_pose_frames = -1;        ///< pictures before the first pose; -1: there was none
   double first_pose_ms = -1;                  ///< source time from the first picture to the first pose
+  double pictures_hz = 0, poses_hz = 0;       ///< due, and tracked, a second of the source's time; 0: too few
   Statistics ms, thread_cpu_ms, proc_cpu_ms;  ///< over tracked frames
   Statistics age_ms;                          ///< real pace: from capture to pose, over tracked frames
 };
@@ -72,7 +73,7 @@ class RunWriter final : public FrameSink {
   std::uint64_t tracked_ = 0;
   std::uint32_t maps_ = 0;
   std::int64_t first_pose_frames_ = -1;
-  rt::TimeNs first_t_ns_ = -1, first_pose_t_ns_ = -1;
+  rt::TimeNs first_t_ns_ = -1, last_t_ns_ = -1, first_pose_t_ns_ = -1;
   std::vector<double> ms_, thread_cpu_ms_, proc_cpu_ms_, age_ms_;
   std::vector<std::string> events_;  ///< as JSON
   std::uint64_t events_seen_ = 0;

@@ -197,6 +197,8 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   EXPECT_THAT(summary, HasSubstr("\"first_pose_after_frames\": 1,"));
   EXPECT_THAT(summary, HasSubstr("\"first_pose_after_ms\": 50.000,"));
   EXPECT_THAT(summary, HasSubstr("\"bad_pictures\": 1,"));
+  EXPECT_THAT(summary, HasSubstr("\"pictures_hz\": 20.000,")) << "five pictures, 50 ms apart";
+  EXPECT_THAT(summary, HasSubstr("\"poses_hz\": 8.000,")) << "two of five";
   EXPECT_THAT(summary, HasSubstr("\"sequence\": \"a \\\"quoted\\\" folder\""));
 }
 
@@ -211,6 +213,7 @@ TEST(RunWriter, AtRealPaceTheAgeOfAPoseIsTold) {
   ASSERT_TRUE(writer.finish({}).ok());
   const auto frames = lines_of(read_file(folder / "frames.csv"));
   EXPECT_EQ(field(frames[0], frames[1], "age_ms"), "3.0000");
+  EXPECT_THAT(read_file(folder / "summary.json"), HasSubstr("\"age_ms\": {\"median\": 3.0000,"));
 }
 
 TEST(RunWriter, ARunWithoutAnyPoseHasASummaryToo) {
