@@ -40,6 +40,23 @@ const std::vector<test::Picture>& pictures() {
   return all;
 }
 
+// From where the sweep is at frame 40 the camera turns away to the right and comes back.
+constexpr int kTurnFrames = 30;
+constexpr int kTurned = 1000;  ///< in an order: the first picture of the turn
+SE3 turn_pose(int i) {
+  const double yaw = 1.3 * std::sin(3.141592653589793 * (i + 1) / (kTurnFrames + 1));
+  return SE3(so3_exp(Vec3(0, yaw, 0)), Vec3::Zero()) * sweep(60)[40];
+}
+const test::Picture& turned_picture(int i) {
+  static const std::vector<test::Picture> all = [] {
+    std::vector<test::Picture> out;
+    const test::SyntheticScene scene = test::SyntheticScene::general();
+    for (int k = 0; k < kTurnFrames; ++k) out.push_back(scene.render(small_camera(), turn_pose(k)));
+    return out;
+  }();
+  return all[static_cast<std::size_t>(i)];
+}
+
 struct Flown {
   std::vector<FrameResult> frames;
   std::uint64_t allocations = 0;
@@ -69,7 +86,9 @@ Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mas
       break;
     }
     std::uint8_t* data = memory[static_cast<std::size_t>(slot)].get();
-    if (order[i] >= 0) {
+    if (order[i] >= kTurned) {
+      std::memcpy(data, turned_picture(order[i] - kTurned).view().data, base);
+    } else if (order[i] >= 0) {
       std::memcpy(data, pictures()[static_cast<std::size_t>(order[i])].view().data, base);
     } else {
       std::memset(data, static_cast<int>(i % 3), base);  // black, but not the very same picture each time
@@ -215,6 +234,23 @@ TEST(Odometry, AViewFarFromTheLastOneIsFoundByItsKeyframeAndConfirmed) {
   // The same picture was flown before: the pose must be that one again.
   const auto before = static_cast<std::size_t>(order[back]);
   EXPECT_LT((run.frames[back].T_world_cam.t - run.frames[before].T_world_cam.t).norm(), 0.03);
+}
+
+TEST(Odometry, ACameraTurnedAwayAndBackIsRightWhereItSaysTracked) {
+  std::vector<int> order = forward(41);
+  for (int i = 0; i < kTurnFrames; ++i) order.push_back(kTurned + i);
+  for (int i = 40; i < 52; ++i) order.push_back(i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[40].tracked);
+  const std::vector<SE3> truth = sweep(60);
+  for (std::size_t i = 41; i < run.frames.size(); ++i) {
+    if (!run.frames[i].tracked) continue;
+    const SE3 T = order[i] >= kTurned ? turn_pose(order[i] - kTurned) : truth[static_cast<std::size_t>(order[i])];
+    const Mat3 dR = run.frames[i].T_world_cam.R.transpose() * truth[0].R * T.R.transpose();
+    EXPECT_LT(so3_log(dR).norm(), 0.05) << i;
+  }
+  EXPECT_TRUE(run.frames.back().tracked);
+  EXPECT_EQ(run.frames.back().map_id, run.frames[40].map_id);
 }
 
 TEST(Odometry, AMaskOverEverythingMeansNoPose) {
