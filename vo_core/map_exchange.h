@@ -10,6 +10,7 @@
 
 #include "hal/rt/image.h"
 #include "hal/rt/time.h"
+#include "vo_core/coarse_mask.h"
 #include "vo_core/map.h"
 
 namespace godwit::vo {
@@ -46,6 +47,7 @@ struct MapperMessage {
   int tracked_features = 0;      ///< measurements of this frame
   double median_depth = 1.0;
   double min_depth = 0.5;
+  CoarseMask mask;  ///< dynamic pixels: no seed begins or matches there
 
   // Keyframes only:
   std::uint32_t keyframe_id = 0;

@@ -19,6 +19,7 @@ Mapper::Mapper(const CameraModel& camera, const MapperOptions& options, MapChann
     : camera_(camera),
       options_(options),
       channel_(channel),
+      mask_storage_(std::make_unique<std::uint8_t[]>(2 * static_cast<std::size_t>(camera.width() * camera.height()))),
       detector_(camera.width(), camera.height(), options.detector),
       bundle_(camera, options.bundle),
       seeds_(std::make_unique<std::array<Seed, kMaxSeeds>>()) {}
@@ -98,6 +99,7 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   kf.T_kf_world = m.T_cam_world;
   kf.velocity = m.velocity;
   kf.median_depth = m.median_depth;
+  masks_[static_cast<std::size_t>(m.keyframe_place)].assign(m.mask);
   for (int i = 0; i < m.feature_count; ++i) {
     const FrameFeature& f = m.features[i];
     if (m.initial && m.keyframe_id == 1) map_.activate_point(f.point, m.initial_points[i].cast<double>());
@@ -130,6 +132,29 @@ Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) 
   return px - moved.cast<float>();
 }
 
+rt::MaskPyramidView Mapper::spread(const CoarseMask& mask, const rt::PyramidView& pyramid) {
+  rt::MaskPyramidView out;
+  if (mask.empty()) return out;
+  out.levels = pyramid.levels;
+  std::uint8_t* storage = mask_storage_.get();
+  for (int l = 0; l < pyramid.levels; ++l) {
+    const int width = pyramid.level[static_cast<std::size_t>(l)].width;
+    const int height = pyramid.level[static_cast<std::size_t>(l)].height;
+    rt::MutableImageView level{storage, width, height, width};
+    storage += static_cast<std::ptrdiff_t>(width) * height;
+    for (int y = 0; y < height; ++y) {
+      // What lies beyond the last whole cell belongs to it.
+      const int row = std::min((y << l) >> CoarseMask::kLevel, mask.rows - 1);
+      for (int x = 0; x < width; ++x) {
+        const int column = std::min((x << l) >> CoarseMask::kLevel, mask.columns - 1);
+        level.row(y)[x] = mask.cell[static_cast<std::size_t>(row * mask.columns + column)];
+      }
+    }
+    out.level[static_cast<std::size_t>(l)] = level;
+  }
+  return out;
+}
+
 void Mapper::create_seeds(int place, const MapperMessage& m) {
   const Keyframe& kf = map_.keyframe(place);
   // Taken already: the keyframe's features, and where older seeds appear in it. Those go on converging; new ones in
@@ -146,9 +171,8 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
   }
   std::array<Feature, kMaxKeyframeFeatures> found;
   const int wanted = std::min(options_.features_per_keyframe, kMaxKeyframeFeatures);
-  const rt::MaskPyramidView no_mask;
-  const int n = detector_.detect(kf.pyramid, no_mask, std::span(occupied.data(), occupied_count), wanted,
-                                 std::span(found.data(), static_cast<std::size_t>(wanted)));
+  const int n = detector_.detect(kf.pyramid, spread(m.mask, kf.pyramid), std::span(occupied.data(), occupied_count),
+                                 wanted, std::span(found.data(), static_cast<std::size_t>(wanted)));
   // Older keyframes to search the new seeds in at once: the nearest ones with a baseline worth the work.
   std::array<std::pair<double, int>, kMaxKeyframes> near;
   int near_count = 0;
@@ -180,18 +204,20 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
-      update_seed(seed, other.pyramid, other.T_kf_world);
+      update_seed(seed, other.pyramid, masks_[static_cast<std::size_t>(near[k].second)], other.T_kf_world);
     }
   }
 }
 
-void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& T_cam_world) {
+void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world) {
   const Keyframe& host = map_.keyframe(seed->place);
   const SE3 T_cur_host = T_cam_world * host.T_kf_world.inverse();
   DepthEstimate& e = seed->estimate;
   // In view at its mean depth?
   Vec2 px;
   if (!camera_.project(T_cur_host * (seed->feature.bearing / e.inv_depth), &px) || !camera_.in_image(px, 8.0)) return;
+  // Behind something that moves: neither hit nor miss.
+  if (mask.masked(px.cast<float>())) return;
   const double sigma = std::sqrt(e.variance);
   const double inv_max = e.inv_depth + 2.0 * sigma;
   const double inv_min = std::max(e.inv_depth - 2.0 * sigma, 1e-4);
@@ -206,6 +232,7 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& 
     }
     return;
   }
+  if (mask.masked(r.match.px)) return;
   const double angle = options_.match_sigma_px * (1 << r.match.level) * camera_.rad_per_px();
   const Vec3 t_host_cur = -(T_cur_host.R.transpose() * T_cur_host.t);
   const double tau2 = inverse_depth_variance(t_host_cur, seed->feature.bearing, r.depth, angle);
@@ -238,7 +265,7 @@ void Mapper::update_seeds(const MapperMessage& m) {
     ++report_.seeds;
     if (done >= options_.max_seed_updates) continue;
     const int before = report_.seeds_updated;
-    update_seed(&s, m.pyramid, T);
+    update_seed(&s, m.pyramid, m.mask, T);
     done += report_.seeds_updated - before;
   }
 }
@@ -298,6 +325,7 @@ void Mapper::find_observations(PointHandle h, int host) {
     const Keyframe& kf = map_.keyframe(k);
     Vec2 px;
     if (!camera_.project(kf.T_kf_world * point.p_world, &px) || !camera_.in_image(px, 8.0)) continue;
+    if (masks_[static_cast<std::size_t>(k)].masked(px.cast<float>())) continue;
     const SE3 T_k_host = kf.T_kf_world * host_kf.T_kf_world.inverse();
     const PatchSource source{&host_kf.pyramid, &source_feature, d_host.norm()};
     const MatchResult m = match_direct(camera_, source, T_k_host, kf.pyramid, px.cast<float>(), kMaxLevel);

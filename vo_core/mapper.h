@@ -78,7 +78,8 @@ class Mapper {
   void handle_reset(const MapperMessage& m);
   void handle_keyframe(const MapperMessage& m);
   void update_seeds(const MapperMessage& m);
-  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const SE3& T_cam_world);
+  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world);
+  rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);
   void create_seeds(int place, const MapperMessage& m);
   bool seed_to_point(Seed* seed);
   void find_observations(PointHandle h, int host);
@@ -95,6 +96,8 @@ class Mapper {
   MapDelta* delta_ = nullptr;
   Map map_;
   std::uint32_t epoch_ = 0;
+  std::array<CoarseMask, kMaxKeyframes> masks_;  ///< of the keyframes, by place
+  std::unique_ptr<std::uint8_t[]> mask_storage_;
   FeatureDetector detector_;
   BundleAdjuster bundle_;
   std::unique_ptr<std::array<Seed, kMaxSeeds>> seeds_;

@@ -262,6 +262,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   frame.sequence = in.sequence;
   frame.counter = frame_counter_;
   frame.t_capture_ns = in.t_capture_ns;
+  frame.mask = in.mask;
   const bool same = same_picture(in.grey);
   frame.pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
   rt::TimeNs t1 = now();
@@ -318,6 +319,7 @@ void Tracker::take_pose(bool proved, Frame* frame, FrameResult* result) {
   }
   retire(&last_);
   last_ = *frame;
+  last_.mask = {};
 }
 
 }  // namespace godwit::vo

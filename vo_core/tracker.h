@@ -114,6 +114,7 @@ class Tracker {
     int slot = -1;
     bool holds_mapper_reference = false;
     rt::PyramidView pyramid;
+    rt::MaskPyramidView mask;  ///< valid only while the frame is being tracked
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
     std::uint32_t sequence = 0;
@@ -161,6 +162,7 @@ class Tracker {
   bool reset_pending_ = true;
 
   Frame first_;                 ///< first view of the initialisation
+  CoarseMask first_mask_;       ///< its dynamic pixels, kept until it is sent
   Frame last_;                  ///< last frame with a pose
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces

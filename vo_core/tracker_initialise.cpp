@@ -64,6 +64,8 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
       result->init.status == InitStatus::kTooFewFeatures) {
     retire(&first_);
     first_ = current;
+    first_mask_.assign(in.mask);
+    first_.mask = {};
     return false;
   }
   if (result->init.status != InitStatus::kDone) {
@@ -110,6 +112,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   last_keyframe_features_ = n;
   retire(&first_);
   last_ = current;
+  last_.mask = {};
   have_velocity_ = false;
   ++map_id_;
   result->tracked = n >= options_.health.min_measurements;

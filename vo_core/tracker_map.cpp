@@ -144,6 +144,11 @@ bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, in
   m->tracked_features = feature_count_;
   m->median_depth = median_depth_;
   m->min_depth = min_depth_;
+  if (frame == &first_) {
+    m->mask.assign(first_mask_);
+  } else {
+    m->mask.assign(frame->mask);
+  }
   m->keyframe_id = keyframe_id;
   m->keyframe_place = place;
   m->initial = keyframe_id == 1 || keyframe_id == 2;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/dynamic/dynamic_masks.h"
 #include "firmware_app/link_runner.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
@@ -12,6 +13,9 @@
 
 namespace godwit::app {
 namespace {
+
+/// Frames that the detector may hold: the one it looks at, and the next.
+constexpr int kDetectorSlots = 2;
 
 /// Passes the frames on and shows how far the run is.
 class ShowingSink final : public FrameSink {
@@ -91,17 +95,34 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   if (layout.slots < odometry_frame_slots_min())
     return refuse(fmt::format("pipeline.frame_slots: {} are too few to fly with; 0 or at least {} are allowed",
                               layout.slots, odometry_frame_slots_min()));
-  layout.readers = kFrameReaders;
+  layout.readers = plan.detector ? kFrameReadersWithDetector : kFrameReaders;
+  if (plan.detector) layout.slots = std::min(layout.slots + kDetectorSlots, rt::kMaxFrameSlots);
+  layout.colour = plan.detector && calibration.channels == 3;
   auto pool = rt::FramePool::create(layout);
   if (!pool) return refuse(pool.error().message);
 
   OdometryOptions odometry = odometry_options(calibration);
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
-  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), plan.masks);
+  std::unique_ptr<DynamicMasks> dynamic;
+  if (plan.detector) {
+    DynamicMasksOptions options;
+    options.model = plan.model;
+    if (plan.model.empty()) {
+      options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
+      options.small_model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
+    }
+    auto opened = DynamicMasks::open(options, pool.value().get());
+    if (!opened) return refuse(opened.error().message);
+    dynamic = std::move(opened).value();
+    if (!dynamic->warning().empty()) fmt::print(stderr, "godwit: warning: {}\n", dynamic->warning());
+  }
+  MaskSource* const masks = plan.masks != nullptr ? plan.masks : dynamic.get();
+  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), masks);
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
   pipeline.newest_frame = plan.pace == "real";
+  pipeline.detector = dynamic.get();
   const auto log = [](LinkLogLevel level, const std::string& text) {
     fmt::print(stderr, "godwit: {}{}\n", level == LinkLogLevel::kWarning ? "warning: " : "", text);
   };

@@ -21,7 +21,9 @@ struct CameraRunPlan {
   bool sequential = false;
   std::int64_t start = 0;
   std::int64_t total = 0;       ///< pictures to come, for the progress bar
-  MaskSource* masks = nullptr;  ///< dynamic pixels; null: nothing is masked
+  MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: none, or the detector's
+  bool detector = false;        ///< find what may move by a network
+  std::string model;            ///< its file; empty: the one that comes with godwit
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

@@ -58,6 +58,10 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.start = a.run.start;
   plan.total = camera.left();
   plan.masks = camera.masks();
+  plan.detector = a.run.detector == "on";
+  plan.model = a.run.model;
+  if (plan.masks != nullptr && plan.detector)
+    return refuse("--truth-masks and --detector on: one of them gives the masks");
   if (a.render_ahead) {
     if (const auto drawn = camera.render_ahead(stop); !drawn) {
       if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);

@@ -18,10 +18,9 @@ namespace {
 
 /// What this version cannot do is refused, not ignored: a result without it would pass for one with it.
 std::string missing_part(const ReplayArguments& a) {
-  if (a.detector == "on") return "--detector on: this version has no detector yet; leave it off";
   if (a.gate == "on") return "--gate on: this version has no gate against moving things yet; leave it off";
   if (a.imu == "on") return "--imu on: this version does not use an IMU yet; leave it off";
-  if (!a.model.empty()) return "--model: is for the detector, which this version does not have yet";
+  if (!a.model.empty() && a.detector != "on") return "--model: is for the detector; add --detector on";
   return {};
 }
 
@@ -163,6 +162,8 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.sequential = a.sequential;
   plan.start = a.start;
   plan.total = camera.value()->total();
+  plan.detector = a.detector == "on";
+  plan.model = a.model;
   return run_camera(camera.value().get(), calibration, config, plan, stop);
 }
 

@@ -42,7 +42,7 @@ class OdometryStage final : public FrameStage {
     input.slot = frame.slot;
     input.sequence = frame.meta.sequence;
     input.t_capture_ns = frame.meta.t_capture_ns;
-    if (masks_ != nullptr) input.mask = masks_->mask_for(frame.meta);
+    if (masks_ != nullptr) input.mask = masks_->mask_for(frame.meta, input.grey);
     input.feature_share = feature_share_;
     const vo::FrameResult result = tracker_->track(input);
     fill(result, record);

@@ -21,7 +21,7 @@ void TruthMasks::put(std::uint32_t sequence, std::span<const sim::TrueBox> boxes
   static_cast<void>(pushed);
 }
 
-rt::MaskPyramidView TruthMasks::mask_for(const rt::FrameMeta& frame) {
+rt::MaskPyramidView TruthMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& /*grey*/) {
   // Older ones belong to pictures that were dropped on the way. Bounded by the ring.
   for (std::size_t i = 0; i < kEntries; ++i) {
     const Entry* entry = ring_->front();

@@ -22,7 +22,7 @@ class TruthMasks final : public MaskSource {
   /// first stay.
   void put(std::uint32_t sequence, std::span<const sim::TrueBox> boxes);
   /// Tracker thread. No mask for a picture whose boxes were not put.
-  rt::MaskPyramidView mask_for(const rt::FrameMeta& frame) override;
+  rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& /*grey*/) override;
 
  private:
   struct Entry {

@@ -1,0 +1,71 @@
+#include "firmware_app/dynamic/dynamic_masks.h"
+
+#include <array>
+#include <utility>
+
+namespace godwit::app {
+
+rt::Result<std::unique_ptr<DynamicMasks>> DynamicMasks::open(const DynamicMasksOptions& options,
+                                                             const rt::FramePool* pool) {
+  auto large = detector::Detector::open(options.model, options.detector);
+  if (!large) return large.error();
+  std::unique_ptr<detector::Detector> small;
+  if (!options.small_model.empty()) {
+    auto opened = detector::Detector::open(options.small_model, options.detector);
+    if (!opened) return opened.error();
+    if (opened.value().info().classes != large.value().info().classes)
+      return rt::Error{options.small_model + ": its classes are not those of " + options.model};
+    small = std::make_unique<detector::Detector>(std::move(opened).value());
+  }
+  return std::unique_ptr<DynamicMasks>(new DynamicMasks(options, pool, std::move(large).value(), std::move(small)));
+}
+
+DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const rt::FramePool* pool, detector::Detector large,
+                           std::unique_ptr<detector::Detector> small)
+    : options_(options),
+      pool_(pool),
+      large_(std::move(large)),
+      small_(std::move(small)),
+      carrier_(pool->layout().width, pool->layout().height),
+      mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels),
+      motion_(pool->layout().width, pool->layout().height) {
+  for (std::size_t i = 0; i < large_.info().classes.size(); ++i)
+    movable_.push_back(large_.movable(static_cast<int>(i)));
+}
+
+std::string DynamicMasks::warning() const {
+  return large_.warning();
+}
+
+bool DynamicMasks::detect(const DetectorJob& job) {
+  const rt::ImageView grey = pool_->grey(job.frame.slot);
+  detector::PictureView picture{grey.data, grey.width, grey.height, grey.stride, 1};
+  if (const std::uint8_t* bgr = pool_->bgr(job.frame.slot)) picture = {bgr, grey.width, grey.height, grey.width * 3, 3};
+  const bool use_small = small_ != nullptr && job.input_px < large_.info().input_width;
+  detector::Detector& network = use_small ? *small_ : large_;
+  if (!network.detect(picture, &found_.boxes)) return false;
+  // Only what may move goes on: the rest would take the place of it.
+  int kept = 0;
+  for (const detector::Box& box : found_.boxes.view())
+    if (network.movable(box.class_id)) found_.boxes.box[static_cast<std::size_t>(kept++)] = box;
+  found_.boxes.count = kept;
+  found_.t_capture_ns = job.frame.meta.t_capture_ns;
+  detections_.write(found_);
+  return true;
+}
+
+rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) {
+  if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
+  carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.boxes()), {});
+  if (detections_.read(&newest_)) have_mask_ |= carrier_.replace(newest_.t_capture_ns, newest_.boxes.view());
+  if (!have_mask_ && frame.t_capture_ns - t_first_ns_ < options_.first_mask_ns) {
+    const std::array<detector::Box, 1> all{
+        detector::Box{0.F, 0.F, static_cast<float>(grey.width), static_cast<float>(grey.height), 1.F, -1}};
+    mask_.update(all, movable_);
+    return mask_.view();
+  }
+  mask_.update(carrier_.boxes(), movable_);
+  return mask_.view();
+}
+
+}  // namespace godwit::app

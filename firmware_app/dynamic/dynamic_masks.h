@@ -1,0 +1,66 @@
+// From the detector's thread to the tracker's: boxes of what may move, carried to the present frame, as masks.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "detector/box_carrier.h"
+#include "detector/box_mask.h"
+#include "detector/detector.h"
+#include "firmware_app/dynamic/box_motion.h"
+#include "firmware_app/pipeline/detector_stage.h"
+#include "firmware_app/pipeline/mask_source.h"
+#include "hal/rt/frame_pool.h"
+#include "hal/rt/result.h"
+#include "hal/rt/triple_buffer.h"
+
+namespace godwit::app {
+
+struct DynamicMasksOptions {
+  std::string model;        ///< ONNX file with its metadata beside it
+  std::string small_model;  ///< for the smaller input of the ladder; empty: the same
+  detector::DetectorOptions detector;
+  /// Initialisation waits so long for the first mask (DESIGN.md): until then everything counts as dynamic.
+  rt::TimeNs first_mask_ns = 200 * rt::kNsPerMs;
+  float min_score = 0.25F;
+};
+
+/// The paper, section 2.3.1. detect() on the detector's thread, mask_for() on the tracker's; nobody waits.
+class DynamicMasks final : public MaskSource, public DetectorStage {
+ public:
+  /// Loads the networks and runs each once. Error: names the file and the reason. The pool outlives it.
+  static rt::Result<std::unique_ptr<DynamicMasks>> open(const DynamicMasksOptions& options, const rt::FramePool* pool);
+
+  bool detect(const DetectorJob& job) override;
+  rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) override;
+
+  /// What was asked for and could not be had, in words; empty if nothing.
+  std::string warning() const;
+
+ private:
+  struct Detection {
+    rt::TimeNs t_capture_ns = 0;
+    detector::BoxList boxes;
+  };
+  DynamicMasks(const DynamicMasksOptions& options, const rt::FramePool* pool, detector::Detector large,
+               std::unique_ptr<detector::Detector> small);
+
+  const DynamicMasksOptions options_;
+  const rt::FramePool* pool_;
+  detector::Detector large_;
+  std::unique_ptr<detector::Detector> small_;
+  Detection found_;  ///< detector thread's own
+  rt::TripleBuffer<Detection> detections_;
+
+  // Tracker thread's own.
+  detector::BoxCarrier carrier_;
+  detector::BoxMask mask_;
+  BoxMotion motion_;
+  Detection newest_;
+  std::vector<bool> movable_;
+  rt::TimeNs t_first_ns_ = 0;
+  bool have_mask_ = false;
+};
+
+}  // namespace godwit::app

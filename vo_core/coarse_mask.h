@@ -1,0 +1,46 @@
+// The dynamic pixels of a frame in small: what the mapper must know of them, in a size that travels with a message.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <cstring>
+
+#include "hal/rt/image.h"
+#include "vo_core/geometry.h"
+
+namespace godwit::vo {
+
+/// Cells of 8 x 8 pixels of level 0: level 3 of a mask pyramid. No columns: nothing is masked.
+struct CoarseMask {
+  static constexpr int kLevel = 3;
+  static constexpr int kMaxColumns = rt::kMaxImageWidth >> kLevel, kMaxRows = rt::kMaxImageHeight >> kLevel;
+  int columns = 0, rows = 0;
+  std::array<std::uint8_t, static_cast<std::size_t>(kMaxColumns* kMaxRows)> cell;  ///< rows of `columns`; not 0: masked
+
+  void assign(const rt::MaskPyramidView& mask) {
+    columns = rows = 0;
+    if (mask.levels <= kLevel) return;
+    const rt::ImageView& level = mask.level[kLevel];
+    columns = level.width;
+    rows = level.height;
+    for (int y = 0; y < rows; ++y)
+      std::memcpy(cell.data() + static_cast<std::ptrdiff_t>(y) * columns, level.row(y),
+                  static_cast<std::size_t>(columns));
+  }
+  /// Copies only what is used.
+  void assign(const CoarseMask& other) {
+    columns = other.columns;
+    rows = other.rows;
+    std::memcpy(cell.data(), other.cell.data(), static_cast<std::size_t>(columns * rows));
+  }
+  void clear() { columns = rows = 0; }
+  bool empty() const { return columns == 0; }
+  /// Level-0 pixel inside the picture.
+  bool masked(const Vec2f& px) const {
+    if (empty()) return false;
+    const int x = static_cast<int>(px.x()) >> kLevel, y = static_cast<int>(px.y()) >> kLevel;
+    return x < columns && y < rows && cell[static_cast<std::size_t>(y * columns + x)] != 0;
+  }
+};
+
+}  // namespace godwit::vo
