@@ -95,13 +95,24 @@ TEST_F(Replay, StartAndFramesChooseAPart) {
 }
 
 TEST_F(Replay, WhatDoesNotExistYetIsRefusedInWords) {
-  for (const char* option : {"--detector on", "--gate on", "--imu on", "--model x.onnx"}) {
+  for (const char* option : {"--gate on", "--imu on"}) {
     const Outcome outcome = replay(option);
     EXPECT_EQ(outcome.exit_code, 2) << option;
     EXPECT_THAT(outcome.text, AllOf(HasSubstr(std::string(option).substr(0, 6)), HasSubstr("yet")));
     EXPECT_FALSE(fs::exists(out()));
   }
   EXPECT_EQ(replay("--detector off --gate off --imu off --sequential").exit_code, 0);
+}
+
+TEST_F(Replay, TheDetectorFliesAlongAndItsModelIsChecked) {
+  EXPECT_EQ(replay("--detector on --sequential").exit_code, 0);
+  EXPECT_EQ(replay("--detector on").exit_code, 0);
+  const Outcome alone = replay("--model x.onnx");
+  EXPECT_EQ(alone.exit_code, 2);
+  EXPECT_THAT(alone.text, HasSubstr("add --detector on"));
+  const Outcome missing = replay("--detector on --model nosuch.onnx");
+  EXPECT_EQ(missing.exit_code, 2);
+  EXPECT_THAT(missing.text, HasSubstr("nosuch"));
 }
 
 TEST_F(Replay, BadPicturesAreCountedToldAndDoNotEndTheRun) {
