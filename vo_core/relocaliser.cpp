@@ -6,11 +6,13 @@
 
 namespace godwit::vo {
 
-void Relocaliser::add_keyframe(int place, std::uint32_t id, const rt::PyramidView& pyramid) {
-  entries_[static_cast<std::size_t>(place)] = {id, make_thumbnail(pyramid, 0.0)};
+void Relocaliser::add_keyframe(int place, std::uint32_t id, const rt::PyramidView& pyramid,
+                               const rt::MaskPyramidView& mask) {
+  entries_[static_cast<std::size_t>(place)] = {id, make_thumbnail(pyramid, mask, 0.0)};
 }
 
-RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& pyramid, int attempt) const {
+RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
+                                       int attempt) const {
   // Of four attempts three are upright: the best, one of the others in turns, the best again. The fourth is turned by
   // +1, -1, +2, -2, .. steps, until the circle is full.
   const int round = attempt / 4;
@@ -21,7 +23,7 @@ RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& py
     const int k = round % steps;
     roll = (k % 2 == 0 ? 1.0 : -1.0) * (k / 2 + 1) * options_.roll_step_rad;
   }
-  const Thumbnail now = make_thumbnail(pyramid, roll);
+  const Thumbnail now = make_thumbnail(pyramid, mask, roll);
 
   std::array<std::pair<ThumbnailMatch, int>, kMaxKeyframes> ranked;
   int n = 0;

@@ -31,12 +31,13 @@ class Relocaliser {
   Relocaliser(const CameraModel& camera, const RelocaliserOptions& options) : camera_(camera), options_(options) {}
 
   /// Keeps the tiny picture of a new keyframe.
-  void add_keyframe(int place, std::uint32_t id, const rt::PyramidView& pyramid);
+  void add_keyframe(int place, std::uint32_t id, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask);
 
   /// The guess number `attempt`, counted over the frames of one search: best and others, upright and turned, in
   /// turns. Compares with
   /// every keyframe of the map that has points: at most kMaxKeyframes thumbnail matches. No allocation.
-  RelocalisationGuess guess(const Map& map, const rt::PyramidView& pyramid, int attempt) const;
+  RelocalisationGuess guess(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
+                            int attempt) const;
 
  private:
   struct Entry {

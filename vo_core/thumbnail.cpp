@@ -5,7 +5,7 @@
 
 namespace godwit::vo {
 namespace {
-constexpr int kMinOverlap = Thumbnail::kCells * 2 / 5;
+constexpr int kMinOverlap = Thumbnail::kCells / 5;
 
 /// Binomial 1 2 1 along both axes over the valid cells, in place: a shift of half a cell must not spoil the likeness.
 void blur(Thumbnail* t) {
@@ -31,9 +31,11 @@ void blur(Thumbnail* t) {
 }
 }  // namespace
 
-Thumbnail make_thumbnail(const rt::PyramidView& pyramid, double roll_rad) {
+Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, double roll_rad) {
   Thumbnail out;
-  const rt::ImageView& image = pyramid.level[static_cast<std::size_t>(pyramid.levels - 1)];
+  const auto top = static_cast<std::size_t>(pyramid.levels - 1);
+  const rt::ImageView& image = pyramid.level[top];
+  const bool masked = mask.levels == pyramid.levels;
   // A grid of four samples a cell, turned about the centre.
   constexpr int kSamples = 2;
   const double cx = 0.5 * (image.width - 1), cy = 0.5 * (image.height - 1);
@@ -50,6 +52,7 @@ Thumbnail make_thumbnail(const rt::PyramidView& pyramid, double roll_rad) {
         const int px = static_cast<int>(std::lround(cx + c * u - s * v));
         const int py = static_cast<int>(std::lround(cy + s * u + c * v));
         if (px < 0 || py < 0 || px >= image.width || py >= image.height) continue;
+        if (masked && mask.level[top].at(px, py) != 0) continue;
         grey += image.at(px, py);
         ++seen;
       }

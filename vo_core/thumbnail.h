@@ -15,12 +15,12 @@ namespace godwit::vo {
 struct Thumbnail {
   static constexpr int kWidth = 20, kHeight = 15, kCells = kWidth * kHeight;
   std::array<std::int16_t, kCells> value{};  ///< grey minus mean; 0 where not valid
-  std::array<std::int16_t, kCells> valid{};  ///< 1 or 0: turned pictures have empty corners
+  std::array<std::int16_t, kCells> valid{};  ///< 1 or 0: turned pictures have empty corners, movers are left out
 };
 
 /// From the coarsest level of the pyramid, turned about the picture's centre by roll_rad: cell x of the result shows
-/// what lies at Rot(roll) x in the picture. No allocation.
-Thumbnail make_thumbnail(const rt::PyramidView& pyramid, double roll_rad);
+/// what lies at Rot(roll) x in the picture. Cells with dynamic pixels are not valid. No allocation.
+Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, double roll_rad);
 
 struct ThumbnailMatch {
   float correlation = -1.0f;  ///< zero-mean, -1 to 1, over the cells that both have

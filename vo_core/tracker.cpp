@@ -80,7 +80,7 @@ bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_c
 
 bool Tracker::align_with_keyframe(Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
-  const RelocalisationGuess guess = relocaliser_->guess(*map_, frame->pyramid, relocalise_attempt_++);
+  const RelocalisationGuess guess = relocaliser_->guess(*map_, frame->pyramid, frame->mask, relocalise_attempt_++);
   int n = 0;
   if (guess.place >= 0) {
     const Keyframe& kf = map_->keyframe(guess.place);

@@ -107,7 +107,7 @@ int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   const int place = map_->free_keyframe_place();
   if (place < 0) return -1;
   Keyframe& kf = map_->insert_keyframe(place, id);
-  relocaliser_->add_keyframe(place, id, frame.pyramid);
+  relocaliser_->add_keyframe(place, id, frame.pyramid, frame.mask);
   kf.sequence = frame.sequence;
   kf.slot = frame.slot;
   kf.t_capture_ns = frame.t_capture_ns;

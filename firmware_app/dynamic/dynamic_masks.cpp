@@ -4,6 +4,22 @@
 #include <utility>
 
 namespace godwit::app {
+namespace {
+
+/// Boxes are followed by the picture inside them, and detections come several times a second: little is unknown of
+/// where they are. Where people cover most of the picture every free pixel counts.
+detector::CarrierLimits carrier_limits() {
+  detector::CarrierLimits out;
+  out.growth_per_s = 0.1F;
+  return out;
+}
+detector::MaskMargin mask_margin() {
+  detector::MaskMargin out;
+  out.share = 0.02F;
+  return out;
+}
+
+}  // namespace
 
 rt::Result<std::unique_ptr<DynamicMasks>> DynamicMasks::open(const DynamicMasksOptions& options,
                                                              const rt::FramePool* pool) {
@@ -26,8 +42,8 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const rt::FramePo
       pool_(pool),
       large_(std::move(large)),
       small_(std::move(small)),
-      carrier_(pool->layout().width, pool->layout().height),
-      mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels),
+      carrier_(pool->layout().width, pool->layout().height, carrier_limits()),
+      mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       motion_(pool->layout().width, pool->layout().height) {
   for (std::size_t i = 0; i < large_.info().classes.size(); ++i)
     movable_.push_back(large_.movable(static_cast<int>(i)));

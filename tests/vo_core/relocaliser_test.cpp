@@ -41,7 +41,7 @@ SE3 turned(double yaw, double roll) {
 
 TEST(Thumbnail, LooksLikeItselfAndNotLikeFlatGrey) {
   const View v{SE3()};
-  const Thumbnail t = make_thumbnail(v.pyramid, 0.0);
+  const Thumbnail t = make_thumbnail(v.pyramid, {}, 0.0);
   const ThumbnailMatch m = match_thumbnails(t, t);
   EXPECT_GT(m.correlation, 0.999f);
   EXPECT_EQ(m.dx, 0);
@@ -51,16 +51,35 @@ TEST(Thumbnail, LooksLikeItselfAndNotLikeFlatGrey) {
   EXPECT_LT(match_thumbnails(t, flat).correlation, 0.0f);
 }
 
+TEST(Thumbnail, WhatMovesIsLeftOut) {
+  const View v{SE3()};
+  // The left half is masked; there the other picture shows something else.
+  std::vector<std::uint8_t> mask_pixels(20 * 15, 0);
+  rt::MaskPyramidView mask;
+  mask.levels = rt::kPyramidLevels;
+  for (int y = 0; y < 15; ++y)
+    for (int x = 0; x < 10; ++x) mask_pixels[static_cast<std::size_t>(y * 20 + x)] = 255;
+  mask.level[rt::kPyramidLevels - 1] = {mask_pixels.data(), 20, 15, 20};
+  test::Picture other = v.picture;
+  for (int y = 0; y < 240; ++y)
+    for (int x = 0; x < 160; ++x) other(x, y) = static_cast<std::uint8_t>(255 - v.picture.view().at(159 - x, y));
+  View::Aligned storage(pyramid_bytes(320, 240, rt::kPyramidLevels));
+  const rt::PyramidView pyramid = build_pyramid(other.view(), rt::kPyramidLevels, storage.data(), storage.size());
+  const Thumbnail all = make_thumbnail(v.pyramid, {}, 0);
+  EXPECT_GT(match_thumbnails(all, make_thumbnail(pyramid, mask, 0)).correlation, 0.95f);
+  EXPECT_LT(match_thumbnails(all, make_thumbnail(pyramid, {}, 0)).correlation, 0.9f);
+}
+
 TEST(Thumbnail, BrightnessDoesNotMatter) {
   const View a{SE3()}, b{SE3(), 0.5, 60.0};
-  EXPECT_GT(match_thumbnails(make_thumbnail(a.pyramid, 0), make_thumbnail(b.pyramid, 0)).correlation, 0.95f);
+  EXPECT_GT(match_thumbnails(make_thumbnail(a.pyramid, {}, 0), make_thumbnail(b.pyramid, {}, 0)).correlation, 0.95f);
 }
 
 TEST(Thumbnail, ShiftFollowsTheTurnOfTheCamera) {
   const View a{SE3()};
   // A turn about the y axis moves the picture sideways by f * tan(angle) = 64 px, four cells.
   const View b{turned(std::atan(64.0 / 260.0), 0.0)};
-  const ThumbnailMatch m = match_thumbnails(make_thumbnail(a.pyramid, 0), make_thumbnail(b.pyramid, 0));
+  const ThumbnailMatch m = match_thumbnails(make_thumbnail(a.pyramid, {}, 0), make_thumbnail(b.pyramid, {}, 0));
   EXPECT_GT(m.correlation, 0.8f);
   EXPECT_EQ(m.dx, 4);
   EXPECT_EQ(m.dy, 0);
@@ -70,7 +89,7 @@ class RelocaliserTest : public testing::Test {
  protected:
   void add(int place, const View& v) {
     map_.insert_keyframe(place, static_cast<std::uint32_t>(place + 1));
-    relocaliser_.add_keyframe(place, static_cast<std::uint32_t>(place + 1), v.pyramid);
+    relocaliser_.add_keyframe(place, static_cast<std::uint32_t>(place + 1), v.pyramid, {});
   }
   const CameraModel camera_ = camera();
   Relocaliser relocaliser_{camera_, RelocaliserOptions{}};
@@ -79,17 +98,17 @@ class RelocaliserTest : public testing::Test {
 
 TEST_F(RelocaliserTest, AnEmptyMapAndAFlatPictureGiveNoGuess) {
   const View v{SE3()}, black{SE3(), 0.0, 3.0};
-  EXPECT_EQ(relocaliser_.guess(map_, v.pyramid, 0).place, -1);
+  EXPECT_EQ(relocaliser_.guess(map_, v.pyramid, {}, 0).place, -1);
   add(0, v);
-  EXPECT_EQ(relocaliser_.guess(map_, v.pyramid, 0).place, 0);
-  EXPECT_EQ(relocaliser_.guess(map_, black.pyramid, 0).place, -1);
+  EXPECT_EQ(relocaliser_.guess(map_, v.pyramid, {}, 0).place, 0);
+  EXPECT_EQ(relocaliser_.guess(map_, black.pyramid, {}, 0).place, -1);
 }
 
 TEST_F(RelocaliserTest, ANearKeyframeComesFirstAndTheTurnAgainstItIsGuessed) {
   const std::vector<double> yaw = {-0.5, -0.25, 0.0, 0.25, 0.5};
   for (std::size_t i = 0; i < yaw.size(); ++i) add(static_cast<int>(i), View{turned(yaw[i], 0)});
   const View now{turned(0.29, 0)};
-  const RelocalisationGuess g = relocaliser_.guess(map_, now.pyramid, 0);
+  const RelocalisationGuess g = relocaliser_.guess(map_, now.pyramid, {}, 0);
   ASSERT_GE(g.place, 3) << "0.25 or 0.5 rad are the neighbours of 0.29";
   const Mat3 true_turn = turned(0.29, 0).R * turned(yaw[static_cast<std::size_t>(g.place)], 0).R.transpose();
   EXPECT_LT(so3_log(g.T_cur_kf.R.transpose() * true_turn).norm(), 0.1);
@@ -100,7 +119,7 @@ TEST_F(RelocaliserTest, ATurnAboutTheOpticalAxisIsFoundByTheTurnedAttempts) {
   const View now{turned(0.0, 1.3)};
   double best = 1e9;
   for (int attempt = 0; attempt < 80; ++attempt) {
-    const RelocalisationGuess g = relocaliser_.guess(map_, now.pyramid, attempt);
+    const RelocalisationGuess g = relocaliser_.guess(map_, now.pyramid, {}, attempt);
     if (g.place == 0) best = std::min(best, so3_log(g.T_cur_kf.R.transpose() * turned(0.0, 1.3).R).norm());
   }
   EXPECT_LT(best, 0.2);
@@ -111,7 +130,7 @@ TEST_F(RelocaliserTest, AKeyframeThatWasReplacedIsNotTakenForTheNewOne) {
   map_.remove_keyframe(0);
   map_.insert_keyframe(0, 99);  // its small picture has not been given
   const View now{SE3()};
-  EXPECT_EQ(relocaliser_.guess(map_, now.pyramid, 0).place, -1);
+  EXPECT_EQ(relocaliser_.guess(map_, now.pyramid, {}, 0).place, -1);
 }
 
 }  // namespace
