@@ -10,8 +10,9 @@ namespace godwit::app {
 class MaskSource {
  public:
   virtual ~MaskSource() = default;
-  /// Tracker thread. `grey` is the frame's picture. The pixels of this frame that may move, at all levels of the pyramid (the paper, section 2.3.1);
-  /// levels == 0: nothing is known. Valid until the next call. No allocation, no lock, never waits, bounded.
+  /// Tracker thread. `grey` is the frame's picture. The pixels of this frame that may move, at all levels of the
+  /// pyramid (the paper, section 2.3.1); levels == 0: nothing is known. Valid until the next call. No allocation, no
+  /// lock, never waits, bounded.
   virtual rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) = 0;
 };
 
