@@ -70,7 +70,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
   app::OdometryOptions odometry = app::odometry_options(camera.value()->calibration());
   odometry.mapper_delay_frames = app::Config{}.pipeline.mapper_delay_frames;
   const auto stage = app::make_odometry_stage(model.value(), odometry, pool.value().get());
-  app::Feeder feeder(camera.value().get(), pool.value().get());
+  app::Feeder feeder(camera.value().get(), pool.value().get(), false);
 
   cv::setNumThreads(1);
   std::vector<double> yardstick, tracking, mapping, both;
