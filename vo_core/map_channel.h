@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -16,7 +17,8 @@ namespace godwit::vo {
 template <typename T, std::size_t N>
 class ExchangeRing {
  public:
-  ExchangeRing() : items_(std::make_unique<std::array<T, N>>()) {
+  /// Not filled with zeros: pages that no message ever reaches are not touched (armed, all are locked and so touched).
+  ExchangeRing() : items_(std::make_unique_for_overwrite<std::array<T, N>>()) {
     for (std::size_t i = 0; i < N; ++i) free_.try_push(static_cast<std::uint8_t>(i));
   }
 
@@ -50,14 +52,14 @@ class ExchangeRing {
 
  private:
   std::unique_ptr<std::array<T, N>> items_;
-  rt::SpscRing<std::uint8_t, N> filled_;
-  rt::SpscRing<std::uint8_t, N> free_;
+  rt::SpscRing<std::uint8_t, std::bit_ceil(N)> filled_;
+  rt::SpscRing<std::uint8_t, std::bit_ceil(N)> free_;
   int claimed_ = -1;
 };
 
 /// Tracker -> mapper and back.
 struct MapChannel {
-  ExchangeRing<MapperMessage, 16> messages;  ///< the tracker produces
+  ExchangeRing<MapperMessage, 12> messages;  ///< the tracker produces; each may hold a frame slot
   ExchangeRing<MapDelta, 8> deltas;          ///< the mapper produces
 };
 
