@@ -162,8 +162,8 @@ TEST_F(Replay, TooFewSlotsToFlyAreRefusedAndTheFewestAllowedEnd) {
   write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 8\n");
   const Outcome few = replay("--config '" + (folder_ / "c.toml") + "'");
   EXPECT_EQ(few.exit_code, 2);
-  EXPECT_THAT(few.text, AllOf(HasSubstr("frame_slots"), HasSubstr("at least 32")));
-  write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 32\n");
+  EXPECT_THAT(few.text, AllOf(HasSubstr("frame_slots"), HasSubstr("at least 28")));
+  write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 28\n");
   EXPECT_EQ(replay("--config '" + (folder_ / "c.toml") + "'").exit_code, 0);
 }
 
