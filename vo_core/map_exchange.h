@@ -10,6 +10,7 @@
 
 #include "hal/rt/image.h"
 #include "hal/rt/time.h"
+#include "vo_core/camera_model.h"
 #include "vo_core/coarse_mask.h"
 #include "vo_core/map.h"
 
@@ -27,6 +28,20 @@ struct FrameFeature {
   std::int8_t level = 0;
   FeatureType type = FeatureType::kCorner;
 };
+
+/// What a keyframe keeps of a frame's measurement. Tracker and mapper both make their keyframes of this, so that the
+/// two maps stay equal.
+inline KeyframeFeature keyframe_feature(const CameraModel& camera, const FrameFeature& f) {
+  KeyframeFeature out;
+  out.px = f.px;
+  out.px_global = f.px_global;
+  out.gradient = f.gradient;
+  out.bearing = camera.unproject(f.px_global.cast<double>());
+  out.point = f.point;
+  out.level = f.level;
+  out.type = f.type;
+  return out;
+}
 
 enum class MessageKind : std::uint8_t {
   kReset,    ///< forget everything; the next messages belong to `epoch`

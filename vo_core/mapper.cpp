@@ -19,7 +19,8 @@ Mapper::Mapper(const CameraModel& camera, const MapperOptions& options, MapChann
     : camera_(camera),
       options_(options),
       channel_(channel),
-      mask_storage_(std::make_unique_for_overwrite<std::uint8_t[]>(2 * static_cast<std::size_t>(camera.width() * camera.height()))),
+      mask_storage_(std::make_unique_for_overwrite<std::uint8_t[]>(
+          2 * static_cast<std::size_t>(camera.width() * camera.height()))),
       detector_(camera.width(), camera.height(), options.detector),
       bundle_(camera, options.bundle),
       seeds_(std::make_unique<std::array<Seed, kMaxSeeds>>()) {}
@@ -103,18 +104,10 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   for (int i = 0; i < m.feature_count; ++i) {
     const FrameFeature& f = m.features[i];
     if (m.initial && m.keyframe_id == 1) map_.activate_point(f.point, m.initial_points[i].cast<double>());
-    KeyframeFeature feature;
-    feature.px = f.px;
-    feature.px_global = f.px_global;
-    feature.gradient = f.gradient;
-    feature.bearing = camera_.unproject(f.px_global.cast<double>());
-    feature.point = f.point;
-    feature.level = f.level;
-    feature.type = f.type;
     // A point that this side deleted while the keyframe was on its way must go on the other side too.
     if (!map_.find(f.point) && delta_->removed_point_count < MapDelta::kMaxRemoved)
       delta_->removed_points[delta_->removed_point_count++] = f.point;
-    map_.append_feature(m.keyframe_place, feature);
+    map_.append_feature(m.keyframe_place, keyframe_feature(camera_, f));
   }
   for (int i = 0; i < m.weak_count; ++i) remove_point(m.weak[i]);
   if (m.keyframe_id > 1) adjust(m.keyframe_place);

@@ -289,13 +289,12 @@ FrameResult Tracker::track(const FrameInput& in) {
   }
   evidence.measurements = result.measurements;
   result.state = health_.step(evidence);
-  if (result.reason[0] == '\0' || evidence.kind != FrameEvidence::Kind::kNoMap) {
+  // The initialisation has told why itself.
+  if (evidence.kind != FrameEvidence::Kind::kNoMap && evidence.kind != FrameEvidence::Kind::kFirstMap) {
     const Reason& reason = health_.reason();
-    if (evidence.kind != FrameEvidence::Kind::kFirstMap) {
-      result.reason = reason.text;
-      result.reason_value = reason.value;
-      result.reason_limit = reason.limit;
-    }
+    result.reason = reason.text;
+    result.reason_value = reason.value;
+    result.reason_limit = reason.limit;
   }
   if (health_.give_up()) begin_map();
   result.map_id = result.state == State::kInitialising || result.state == State::kLost ? 0 : map_id_;

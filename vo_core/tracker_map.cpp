@@ -115,18 +115,7 @@ int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   kf.T_kf_world = frame.T_cam_world;
   kf.velocity = frame.velocity;
   kf.median_depth = median_depth_;
-  for (int i = 0; i < feature_count_; ++i) {
-    const FrameFeature& f = features_[i];
-    KeyframeFeature out;
-    out.px = f.px;
-    out.px_global = f.px_global;
-    out.gradient = f.gradient;
-    out.bearing = camera_.unproject(f.px_global.cast<double>());
-    out.point = f.point;
-    out.level = f.level;
-    out.type = f.type;
-    map_->append_feature(place, out);
-  }
+  for (int i = 0; i < feature_count_; ++i) map_->append_feature(place, keyframe_feature(camera_, features_[i]));
   return place;
 }
 

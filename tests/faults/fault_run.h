@@ -10,6 +10,7 @@
 #include <cstring>
 #include <fstream>
 #include <functional>
+#include <gtest/gtest.h>
 #include <memory>
 #include <optional>
 #include <sstream>
@@ -30,6 +31,18 @@ inline std::optional<std::string> sequence_folder(const std::string& name) {
   if (shared == nullptr) return {};
   const std::string folder = std::string(shared) + "/data/" + name;
   return std::ifstream(folder + "/rgb.txt").good() ? std::optional(folder) : std::nullopt;
+}
+
+/// For SetUp: the folder of a recorded sequence into *folder. Absent: skipped with a word; a failure where CI=true.
+inline void need_sequence(const std::string& name, std::string* folder) {
+  const auto found = sequence_folder(name);
+  if (found) {
+    *folder = *found;
+    return;
+  }
+  const char* ci = std::getenv("CI");
+  if (ci != nullptr && std::string(ci) == "true") FAIL() << "the recorded sequence " << name << " is not there";
+  GTEST_SKIP() << "the recorded sequence " << name << " is not there";
 }
 
 struct TruthPose {

@@ -57,7 +57,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   rt::TimeNs now = rt::kNsPerSecond;
   std::uint8_t transfer_id = 0;
   // A few hundred transfers reach every state; longer inputs would only run slower.
-  for (int i = 0; i < 300 && size >= 2; ++i) {
+  for (int sent = 0; sent < 300 && size >= 2; ++sent) {
     const dronecan::TypeInfo& type = kTypes[data[0] % kTypes.size()];
     const std::size_t take = std::min<std::size_t>({size - 2, data[1], dronecan::kMaxPayload});
     dronecan::Transfer t;
