@@ -20,7 +20,7 @@ struct Config {
 
   struct Threads {
     bool lock_memory = false;
-    rt::ThreadPlan camera, tracker, mapper, link;
+    rt::ThreadPlan camera, imu, tracker, mapper, detector, link;
   } threads;
 
   struct Scheduling {
@@ -39,6 +39,10 @@ struct Config {
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;
+
+  struct Imu {
+    double silent_s = 0.5;  ///< an IMU of which nothing is newer is called silent
+  } imu;
 
   /// The CAN bus, and godwit as a DroneCAN node on it.
   struct Can {

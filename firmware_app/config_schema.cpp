@@ -61,8 +61,10 @@ std::vector<Key> config_keys(Config* c) {
       keys::flag("threads.lock_memory", &c->threads.lock_memory),
   };
   add_thread("threads.camera", &c->threads.camera, &out);
+  add_thread("threads.imu", &c->threads.imu, &out);
   add_thread("threads.tracker", &c->threads.tracker, &out);
   add_thread("threads.mapper", &c->threads.mapper, &out);
+  add_thread("threads.detector", &c->threads.detector, &out);
   add_thread("threads.link", &c->threads.link, &out);
   for (Key& key : std::vector<Key>{
            keys::number("scheduler.deadline_ms", 5, 1000, "ms", &c->scheduler.deadline_ms),
@@ -75,6 +77,8 @@ std::vector<Key> config_keys(Config* c) {
            keys::text("camera.scenarios", kLongestPath, "a folder", &c->camera.scenarios),
            keys::whole<std::uint64_t>("camera.seed", 0, 1'000'000'000, &c->camera.seed),
            keys::whole("camera.pictures", 2, 10000, &c->camera.pictures),
+
+           keys::number("imu.silent_s", 0.02, 10, "s", &c->imu.silent_s),
        }) {
     out.push_back(std::move(key));
   }
@@ -84,12 +88,15 @@ std::vector<Key> config_keys(Config* c) {
 
 void check_contradictions(ConfigReport* report) {
   const Config& c = report->config;
-  if (c.threads.mapper.priority > 0 && c.threads.mapper.priority >= c.threads.tracker.priority) {
+  const auto behind_tracker = [&](const char* key, int priority) {
+    if (priority == 0 || priority < c.threads.tracker.priority) return;
     const int most = std::max(0, c.threads.tracker.priority - 1);
-    report->mistake("threads.mapper.priority", "tracking comes first, with threads.tracker.priority = " +
-                                                   std::to_string(c.threads.tracker.priority) + "; 0 to " +
-                                                   std::to_string(most) + " is allowed");
-  }
+    report->mistake(
+        key, "tracking comes first, with threads.tracker.priority = " + std::to_string(c.threads.tracker.priority) +
+                 "; 0 to " + std::to_string(most) + " is allowed");
+  };
+  behind_tracker("threads.mapper.priority", c.threads.mapper.priority);
+  behind_tracker("threads.detector.priority", c.threads.detector.priority);
   if (c.scheduler.tracker_p95_ms >= c.scheduler.deadline_ms) {
     report->mistake("scheduler.tracker_p95_ms", keys::decimal(c.scheduler.tracker_p95_ms) +
                                                     " is not below scheduler.deadline_ms (" +

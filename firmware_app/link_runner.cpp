@@ -101,6 +101,7 @@ void LinkRunner::run_keeper() {
     if (const rt::TimeNs now = rt::monotonic_now_ns(); now >= t_next_health_ns_) {
       t_next_health_ns_ = now + rt::kNsPerSecond;
       link::SystemHealth health;
+      health.imu_ok = imu_ok_.load(std::memory_order_relaxed);
       const double temperature_c = machine_.read().temperature_c;
       if (std::isfinite(temperature_c)) health.temperature_c = static_cast<float>(temperature_c);
       service_->publish(health);

@@ -48,6 +48,8 @@ class LinkRunner final : public FrameTap {
 
   /// Tracker thread: sends the frame's pose. No allocation, no lock, no wait.
   void frame_done(const FrameRecord& record) override;
+  /// Tracker thread: told with the next status of the node.
+  void imu_silent(bool silent) override { imu_ok_.store(!silent, std::memory_order_relaxed); }
   /// One thread: what the autopilot told, oldest first.
   bool take_input(link::AutopilotInput* input) { return service_->take_input(input); }
 
@@ -73,6 +75,7 @@ class LinkRunner final : public FrameTap {
   std::atomic<bool> ending_{false};
   std::atomic<bool> stop_{false};         ///< keeper -> pipeline
   std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
+  std::atomic<bool> imu_ok_{true};        ///< tracker -> keeper; relaxed as well
   link::LinkStatus status_;               ///< keeper's; finish() reads it after the join
   link::LinkStatus told_;                 ///< keeper's: what the log has been told
   rt::TimeNs t_next_report_ns_ = 0;

@@ -59,6 +59,10 @@ void tell(const RunWriter& writer, const std::string& folder) {
   } else {
     fmt::print("no pose was found\n");
   }
+  if (const auto& imu = writer.pipeline().imu) {
+    fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences; they are not used yet\n", imu->samples, imu->gaps,
+               imu->dropped, imu->silences);
+  }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,
                s.counters.dropped_slots + s.counters.dropped_late);
@@ -123,6 +127,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   pipeline.sequential = plan.sequential;
   pipeline.newest_frame = plan.pace == "real";
   pipeline.detector = dynamic.get();
+  pipeline.imu = plan.imu;
   const auto log = [](LinkLogLevel level, const std::string& text) {
     fmt::print(stderr, "godwit: {}{}\n", level == LinkLogLevel::kWarning ? "warning: " : "", text);
   };

@@ -9,6 +9,7 @@
 #include "firmware_app/pipeline/mask_source.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
+#include "hal/imu/imu.h"
 
 namespace godwit::app {
 
@@ -22,6 +23,7 @@ struct CameraRunPlan {
   std::int64_t start = 0;
   std::int64_t total = 0;       ///< pictures to come, for the progress bar
   MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: none, or the detector's
+  hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
   bool detector = false;        ///< find what may move by a network
   std::string model;            ///< its file; empty: the one that comes with godwit
 };

@@ -1,6 +1,7 @@
 #include "firmware_app/commands/fly_command.h"
 
 #include <filesystem>
+#include <memory>
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/exit_code.h"
@@ -8,6 +9,7 @@
 #include "firmware_app/output/flight_writer.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sim/flown_camera.h"
+#include "hal/imu/replay/replay_imu.h"
 
 namespace godwit::app {
 namespace {
@@ -23,6 +25,16 @@ rt::Result<void> write_truth(const sim::Flight& flight, const FlownCamera& camer
   if (auto r = file.open(out + "/boxes.csv"); !r) return r;
   if (auto r = file.write(camera.boxes()); !r) return r;
   return file.commit();
+}
+
+/// All that the flight's IMU measures, in times that count from the flight's start as its camera's do.
+hal::ImuRecord imu_of(const sim::Flight& flight) {
+  hal::ImuRecord record;
+  const auto imu = flight.imu(0);
+  record.rate_hz = imu->rate_hz();
+  hal::ImuSample sample;
+  while (imu->next(&sample, 0) == hal::ImuStatus::kSample) record.samples.push_back(sample);
+  return record;
 }
 
 }  // namespace
@@ -46,7 +58,12 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   if (!check_run_arguments(a.run, &config)) return kExitRefused;
   const auto flight = make_flight(a.flight);
   if (!flight) return refuse(flight.error().message);
-  FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks});
+  hal::ReplayTime time;
+  FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks, &time});
+  std::unique_ptr<hal::ReplayImu> imu;
+  if (a.run.imu != "off") {
+    imu = std::make_unique<hal::ReplayImu>(imu_of(*flight.value()), &time, a.run.pace == "real");
+  }
   if (camera.left() == 0)
     return refuse("--start " + std::to_string(a.run.start) + ": the flight has no more pictures than that");
   CameraRunPlan plan;
@@ -58,6 +75,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.start = a.run.start;
   plan.total = camera.left();
   plan.masks = camera.masks();
+  plan.imu = imu.get();
   plan.detector = a.run.detector == "on";
   plan.model = a.run.model;
   if (plan.masks != nullptr && plan.detector)

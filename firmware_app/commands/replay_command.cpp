@@ -4,6 +4,7 @@
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
 #include <fmt/format.h>
+#include <memory>
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/exit_code.h"
@@ -12,6 +13,7 @@
 #include "firmware_app/link_settings.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/can/can_bus.h"
+#include "hal/imu/replay/replay_imu.h"
 
 namespace godwit::app {
 namespace {
@@ -19,7 +21,7 @@ namespace {
 /// What this version cannot do is refused, not ignored: a result without it would pass for one with it.
 std::string missing_part(const ReplayArguments& a) {
   if (a.gate == "on") return "--gate on: this version has no gate against moving things yet; leave it off";
-  if (a.imu == "on") return "--imu on: this version does not use an IMU yet; leave it off";
+  if (a.imu == "on") return "--imu on: this version does not use an IMU yet; --imu watch reads it beside the camera";
   if (!a.model.empty() && a.detector != "on") return "--model: is for the detector; add --detector on";
   return {};
 }
@@ -75,7 +77,11 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
   };
   on_off("--detector", &a->detector, "Find what may move by a network and leave it out");
   on_off("--gate", &a->gate, "Find what moves by geometry and leave it out");
-  on_off("--imu", &a->imu, "Use the sequence's IMU");
+  command
+      ->add_option("--imu", a->imu,
+                   "watch: read the IMU beside the camera and tell when it is silent; on: use it for the pose")
+      ->check(CLI::IsMember({"on", "watch", "off"}))
+      ->capture_default_str();
   command->add_option("--model", a->model, "The detector's network")->type_name("FILE");
   add_link_options(command, &a->can, &a->mavlink);
   command->add_flag("--bench-metric", a->bench_metric,
@@ -151,8 +157,17 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   replay.start = a.start;
   replay.frames = a.frames;
   replay.passes = a.loop;
+  hal::ReplayTime time;
+  replay.time = &time;
   auto camera = hal::ReplayCamera::open(a.sequence, replay);
   if (!camera) return refuse(camera.error().message);
+  std::unique_ptr<hal::ReplayImu> imu;
+  if (a.imu != "off") {
+    if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
+    auto record = hal::read_imu_record(a.sequence);
+    if (!record) return refuse(record.error().message);
+    imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
+  }
   const hal::CameraCalibration& calibration = camera.value()->calibration();
   CameraRunPlan plan;
   plan.source = a.sequence;
@@ -162,6 +177,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.sequential = a.sequential;
   plan.start = a.start;
   plan.total = camera.value()->total();
+  plan.imu = imu.get();
   plan.detector = a.detector == "on";
   plan.model = a.model;
   return run_camera(camera.value().get(), calibration, config, plan, stop);

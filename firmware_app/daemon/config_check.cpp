@@ -34,8 +34,10 @@ void check_scenario(ConfigReport* report) {
 void check_on_this_machine(ConfigReport* report) {
   const Config& c = report->config;
   check_cpus("threads.camera", c.threads.camera, report);
+  check_cpus("threads.imu", c.threads.imu, report);
   check_cpus("threads.tracker", c.threads.tracker, report);
   check_cpus("threads.mapper", c.threads.mapper, report);
+  check_cpus("threads.detector", c.threads.detector, report);
   check_cpus("threads.link", c.threads.link, report);
   const int slots = c.pipeline.frame_slots;
   if (slots != 0 && slots < odometry_frame_slots_min()) {

@@ -243,6 +243,11 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
     line("events", json_list(events_));
     line("events_not_kept", std::to_string(events_seen_ - events_.size() + pipeline_.events_lost));
   }
+  if (const auto& imu = pipeline_.imu) {
+    line("imu",
+         fmt::format(R"({{"samples": {}, "gaps": {}, "faults": {}, "implausible": {}, "dropped": {}, "silences": {}}})",
+                     imu->samples, imu->gaps, imu->faults, imu->implausible, imu->dropped, imu->silences));
+  }
   line("records_lost", std::to_string(pipeline_.records_lost));
   std::vector<std::string> threads;
   for (const ThreadReport& t : pipeline_.threads) {

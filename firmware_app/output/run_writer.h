@@ -53,6 +53,7 @@ class RunWriter final : public FrameSink {
   void event(const rt::LogEntry& entry) override;
   /// What the pipeline counted, for the summary; before finish().
   void set_pipeline(const PipelineCounters& counters) { pipeline_ = counters; }
+  const PipelineCounters& pipeline() const { return pipeline_; }
   rt::Result<void> finish(const RunDescription& description);
 
   /// Valid at any time; complete after the last take().

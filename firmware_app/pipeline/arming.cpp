@@ -4,6 +4,9 @@ namespace godwit::app {
 
 void plan_pipeline(const Config& config, double fps, PipelineOptions* options) {
   options->threads.camera = config.threads.camera;
+  options->threads.imu = config.threads.imu;
+  options->threads.detector = config.threads.detector;
+  options->imu_silence_ns = static_cast<rt::TimeNs>(config.imu.silent_s * 1e9);
   options->threads.tracker = config.threads.tracker;
   options->threads.mapper = config.threads.mapper;
   SchedulerOptions& s = options->scheduler;

@@ -9,7 +9,7 @@
 
 namespace godwit::app {
 
-/// Threads and scheduler as the configuration wants them. fps: of the camera; 0 or less: 30.
+/// Threads, scheduler and limits as the configuration wants them. fps: of the camera; 0 or less: 30.
 void plan_pipeline(const Config& config, double fps, PipelineOptions* options);
 
 /// Locks the memory if the configuration wants it; call when everything is allocated. Returns what was refused, in

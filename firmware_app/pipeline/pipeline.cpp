@@ -32,6 +32,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
                                             const PipelineOptions& options, FrameSink* sink,
                                             const std::atomic<bool>& stop) {
   Feeder feeder(camera, pool, false);
+  ImuFeeder imu(options.imu, false);
   PipelineCounters counters;
   int since_detection = options.scheduler.period_frames;
   // Relaxed: the flag orders nothing, it only ends the loop.
@@ -44,6 +45,8 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     if (outcome == Feeder::Outcome::kFrame) {
       {
         const rt::RtScope real_time;
+        hal::ImuSample sample;
+        while (options.imu != nullptr && imu.next_until(handle.meta.t_capture_ns, &sample)) stage->take_imu(sample);
         track_frame(stage, handle, &record);
         if (options.tap != nullptr) options.tap->frame_done(record);
         const rt::TimeNs before = rt::thread_cpu_now_ns();
@@ -66,6 +69,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     auto taken = sink->take(record);
     if (!taken) return taken.error();
   }
+  if (options.imu != nullptr) counters.imu = imu.counters;
   return counters;
 }
 

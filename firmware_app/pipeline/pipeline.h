@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "firmware_app/pipeline/detector_stage.h"
+#include "firmware_app/pipeline/imu_feeder.h"
 #include "firmware_app/pipeline/stage.h"
 #include "firmware_app/scheduler/scheduler.h"
 #include "hal/camera/camera.h"
@@ -43,12 +44,14 @@ class FrameTap {
   /// there was none yet), for longer than kSilenceNs; again about ten times a second until one comes. There is no pose:
   /// what was known then must not be sent as if it held.
   virtual void no_picture(rt::TimeNs /*now_ns*/, rt::TimeNs /*t_last_capture_ns*/) {}
+  /// The same thread and rules: the inertial sensor fell silent, or is heard again.
+  virtual void imu_silent(bool /*silent*/) {}
 };
 /// A camera that sends nothing for longer is called silent.
 constexpr rt::TimeNs kSilenceNs = 200 * rt::kNsPerMs;
 
 struct PipelineThreads {
-  rt::ThreadPlan camera, tracker, mapper, detector;
+  rt::ThreadPlan camera, imu, tracker, mapper, detector;
 };
 
 struct PipelineOptions {
@@ -59,9 +62,11 @@ struct PipelineOptions {
   bool newest_frame = false;
   FrameTap* tap = nullptr;            ///< may be null
   DetectorStage* detector = nullptr;  ///< may be null; with one the pool has kFrameReadersWithDetector readers
-  PipelineThreads threads;            ///< threads only
-  SchedulerOptions scheduler;         ///< scheduler.detector is set by whether there is one
-  const hal::MachineMonitor* machine = nullptr;  ///< may be null; read once a second at real pace
+  hal::Imu* imu = nullptr;            ///< may be null; real pace: read by a thread of its own
+  rt::TimeNs imu_silence_ns = 500 * rt::kNsPerMs;  ///< an IMU of which nothing is newer is called silent
+  PipelineThreads threads;                         ///< threads only
+  SchedulerOptions scheduler;                      ///< scheduler.detector is set by whether there is one
+  const hal::MachineMonitor* machine = nullptr;    ///< may be null; read once a second at real pace
 };
 
 /// How one thread fared.
@@ -83,15 +88,17 @@ struct PipelineCounters {
   SchedulerCounters scheduler;     ///< real pace
   Rung rung = Rung::kFull;         ///< at the end
   std::vector<ThreadReport> threads;
+  std::optional<ImuCounters> imu;  ///< if there was one
 };
 
 /// Runs until the camera is at its end, *stop becomes true or the sink fails. The pool has kFrameReaders readers, one
 /// more with a detector.
 ///
 /// Sequential: frame by frame read, track, map, detect, hand to the sink. Threads: feeder -> ring -> tracker -> (the
-/// stage's own channel) -> mapper, tracker -> detector, records through rings to the calling thread. Between two frames
-/// threads sleep until there is work; inside a frame nobody waits for anybody. Error: the sink's, or a thread that
-/// could not be started.
+/// stage's own channel) -> mapper, tracker -> detector, IMU -> ring -> tracker, records through rings to the calling
+/// thread. Between two frames threads sleep until there is work; inside a frame nobody waits for anybody. Without a
+/// pace, and sequentially, the feeder reads the IMU as well: each frame finds what was measured before it. Error: the
+/// sink's, or a thread that could not be started.
 rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                           const PipelineOptions& options, FrameSink* sink,
                                           const std::atomic<bool>& stop);

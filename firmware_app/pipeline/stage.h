@@ -2,6 +2,7 @@
 #pragma once
 
 #include "firmware_app/pipeline/frame_record.h"
+#include "hal/imu/imu.h"
 #include "hal/rt/frame_pool.h"
 
 namespace godwit::app {
@@ -22,6 +23,10 @@ class FrameStage {
   /// Tracker thread. Estimates the frame's pose and fills everything of the record but sequence, times of the frame and
   /// mapper_cpu_ns. No allocation, no lock, bounded. Takes over both references.
   virtual void track(const rt::FrameHandle& frame, FrameRecord* record) = 0;
+  /// Tracker thread. One reading of the inertial sensor, in the order of their times; what was measured up to a frame's
+  /// capture and has come is handed over before that frame, later ones perhaps too. No allocation, no lock, bounded. A
+  /// stage without inertial part need not care.
+  virtual void take_imu(const hal::ImuSample& /*sample*/) {}
   /// Tracker thread. From the next frame on this share of the features is enough; 1: all. A stage without features need
   /// not care.
   virtual void limit_features(double /*share*/) {}

@@ -1,6 +1,7 @@
 #include "firmware_app/pipeline/threaded_pipeline.h"
 
 #include <cassert>
+#include <limits>
 
 #include "firmware_app/pipeline/feeder.h"
 #include "hal/rt/rt_scope.h"
@@ -11,6 +12,9 @@ namespace {
 constexpr rt::TimeNs kSleepNs = 100 * rt::kNsPerMs;
 /// How long the feeder of a replay waits for a slot before it drops the picture after all.
 constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
+/// How long the IMU may take to answer, and how long it is left alone after a fault.
+constexpr rt::TimeNs kImuWaitNs = 50 * rt::kNsPerMs;
+constexpr rt::TimeNs kImuFaultNs = rt::kNsPerMs;
 /// How often the machine's temperature is looked at.
 constexpr rt::TimeNs kMachineNs = rt::kNsPerSecond;
 
@@ -28,9 +32,11 @@ ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::F
       pool_(pool),
       options_(options),
       newest_frame_(options.newest_frame),
+      samples_(std::make_unique<ImuRing>()),
       fed_(std::make_unique<rt::SpscRing<Fed, kRecordRing>>()),
       tracked_(std::make_unique<rt::SpscRing<FrameRecord, kRecordRing>>()),
       events_(std::make_unique<rt::LogRing>()),
+      imu_(options.imu, options.newest_frame),
       scheduler_(scheduler_options(options)) {}
 
 rt::Result<void> ThreadedPipeline::start() {
@@ -40,17 +46,24 @@ rt::Result<void> ThreadedPipeline::start() {
   }
   if (auto r = threads_[kMapper].start("gw-mapper", plans.mapper, [this] { map(); }); !r) return r;
   if (auto r = threads_[kTracker].start("gw-tracker", plans.tracker, [this] { track(); }); !r) return r;
+  if (options_.imu != nullptr && newest_frame_) {
+    if (auto r = threads_[kImu].start("gw-imu", plans.imu, [this] { sense(); }); !r) return r;
+  }
   return threads_[kFeeder].start("gw-camera", plans.camera, [this] { feed(); });
 }
 
 void ThreadedPipeline::join(PipelineCounters* counters) {
-  constexpr const char* kNames[kThreads] = {"camera", "tracker", "mapper", "detector"};
+  constexpr const char* kNames[kThreads] = {"camera", "tracker", "mapper", "detector", "imu"};
   for (std::size_t i = 0; i < kThreads; ++i) {
     threads_[i].join();
     if (threads_[i].stack_used() > 0) counters->threads.push_back({kNames[i], faults_[i], threads_[i].stack_used()});
   }
   counters->records_lost = records_lost_.load(std::memory_order_relaxed);
   counters->events_lost = events_->lost();
+  if (options_.imu != nullptr) {
+    counters->imu = imu_.counters;
+    counters->imu->silences = imu_silences_;
+  }
   counters->scheduler = scheduler_.counters();
   counters->rung = scheduler_.plan().rung;
 }
@@ -150,6 +163,7 @@ void ThreadedPipeline::feed() {
       finish(fed_.get(), Fed{record, handed_count_});
       continue;
     }
+    if (options_.imu != nullptr && !newest_frame_) feed_samples(handle.meta.t_capture_ns);
     ++handed_count_;
     const bool pushed = frames_.try_push(handle);
     assert(pushed);  // only this thread pushes, so the room seen above is still there
@@ -160,6 +174,61 @@ void ThreadedPipeline::feed() {
   // Release, partner: the acquire load in track(). See feeder_done_.
   feeder_done_.store(true, std::memory_order_release);
   tracker_wake_.post();
+}
+
+void ThreadedPipeline::feed_samples(rt::TimeNs t_capture_ns) {
+  hal::ImuSample sample;
+  while (imu_.next_until(t_capture_ns, &sample)) {
+    while (!samples_->try_push(sample)) {
+      if (stop_.load(std::memory_order_relaxed)) return;
+      tracker_wake_.post();
+      feeder_wake_.wait_for(rt::kNsPerMs);
+    }
+  }
+}
+
+void ThreadedPipeline::sense() {
+  const rt::PageFaults before = rt::thread_page_faults();
+  const rt::RtScope real_time;
+  hal::ImuStatus status = hal::ImuStatus::kTimeout;
+  // Relaxed: nothing is ordered by it, it only ends the loop.
+  while (status != hal::ImuStatus::kEnd && !feeder_done_.load(std::memory_order_relaxed)) {
+    hal::ImuSample sample;
+    status = imu_.next(&sample, kImuWaitNs);
+    if (status == hal::ImuStatus::kSample && !samples_->try_push(sample)) ++imu_.counters.dropped;
+    // A device that fails at once must not take the processor.
+    if (status == hal::ImuStatus::kFault) rt::sleep_until_ns(rt::monotonic_now_ns() + kImuFaultNs);
+  }
+  faults_[kImu] = rt::thread_page_faults() - before;
+}
+
+void ThreadedPipeline::take_samples(rt::TimeNs until_ns) {
+  for (std::size_t i = 0; i < ImuRing::capacity(); ++i) {
+    const hal::ImuSample* const sample = samples_->front();
+    if (sample == nullptr || sample->t_ns > until_ns) return;
+    stage_->take_imu(*sample);
+    t_imu_ns_ = sample->t_ns;
+    samples_->drop_front();
+  }
+}
+
+void ThreadedPipeline::look_for_imu_silence(rt::TimeNs now_ns) {
+  if (options_.imu == nullptr) return;
+  if (!t_imu_ns_) t_imu_ns_ = now_ns;
+  const rt::TimeNs age = now_ns - *t_imu_ns_;
+  const bool silent = age > options_.imu_silence_ns;
+  if (silent == imu_silent_) return;
+  imu_silent_ = silent;
+  if (silent) {
+    ++imu_silences_;
+    t_imu_lost_ns_ = *t_imu_ns_;
+    events_->say({now_ns, rt::LogLevel::kWarning, "IMU silent", "", "silent for [s]", rt::to_seconds(age),
+                  rt::to_seconds(options_.imu_silence_ns)});
+  } else {
+    events_->say({now_ns, rt::LogLevel::kInfo, "IMU heard again", "", "silent for [s]",
+                  rt::to_seconds(*t_imu_ns_ - t_imu_lost_ns_), 0});
+  }
+  if (options_.tap != nullptr) options_.tap->imu_silent(silent);
 }
 
 int ThreadedPipeline::take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return) {
@@ -224,6 +293,15 @@ void ThreadedPipeline::look_for_silence(rt::TimeNs now_ns) {
   if (options_.tap != nullptr) options_.tap->no_picture(now_ns, t_last_capture_ns_);
 }
 
+void ThreadedPipeline::look_around() {
+  const rt::TimeNs now_ns = rt::monotonic_now_ns();
+  look_for_silence(now_ns);
+  // No frame takes them; the ring must not overflow.
+  take_samples(std::numeric_limits<rt::TimeNs>::max());
+  // Without a pace times are the recording's, and only frames tell how late it is there.
+  if (newest_frame_) look_for_imu_silence(now_ns);
+}
+
 void ThreadedPipeline::note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns) {
   if (silent_) {
     events_->say(
@@ -236,6 +314,8 @@ void ThreadedPipeline::note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns) 
 
 void ThreadedPipeline::track_one(rt::FrameHandle handle, rt::FrameReturn* tracker_return) {
   const int dropped = newest_frame_ ? take_newest(&handle, tracker_return) : 0;
+  take_samples(handle.meta.t_capture_ns);
+  look_for_imu_silence(handle.meta.t_capture_ns);
   FrameRecord record;
   track_frame(stage_, handle, &record);
   note_picture(record.t_done_ns, record.t_capture_ns);
@@ -263,7 +343,7 @@ void ThreadedPipeline::track() {
       if (!frames_.try_pop(&handle)) {
         if (last_look) break;
         tracker_wake_.wait_for(kSleepNs);
-        look_for_silence(rt::monotonic_now_ns());
+        look_around();
         continue;
       }
       track_one(handle, &tracker_return);

@@ -1,4 +1,4 @@
-// The pipeline with a thread for each part: feeder, tracker, mapper, detector; the caller's thread collects.
+// The pipeline with a thread for each part: feeder, IMU, tracker, mapper, detector; the caller's thread collects.
 #pragma once
 
 #include <array>
@@ -36,7 +36,7 @@ class ThreadedPipeline {
   /// flight.
   static constexpr int kMapperBacklog = 2;
 
-  enum ThreadIndex : std::size_t { kFeeder, kTracker, kMapper, kDetector, kThreads };
+  enum ThreadIndex : std::size_t { kFeeder, kTracker, kMapper, kDetector, kImu, kThreads };
 
   /// A picture that was not flown, and how many frames had been handed to the tracker before it.
   struct Fed {
@@ -53,6 +53,10 @@ class ThreadedPipeline {
   rt::Result<void> start();
   void join(PipelineCounters* counters);
   void feed();
+  void sense();
+  void feed_samples(rt::TimeNs t_capture_ns);
+  void take_samples(rt::TimeNs until_ns);
+  void look_for_imu_silence(rt::TimeNs now_ns);
   void track();
   void map();
   void detect();
@@ -64,6 +68,7 @@ class ThreadedPipeline {
   int take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return);
   void track_one(rt::FrameHandle handle, rt::FrameReturn* tracker_return);
   void schedule(const rt::FrameHandle& handle, const FrameRecord& record, int dropped, rt::FrameReturn* tracker_return);
+  void look_around();
   void look_for_silence(rt::TimeNs now_ns);
   void note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns);
 
@@ -74,6 +79,7 @@ class ThreadedPipeline {
   const bool newest_frame_;
 
   rt::SpscRing<rt::FrameHandle, kFrameRing> frames_;                 ///< feeder -> tracker
+  std::unique_ptr<ImuRing> samples_;                                 ///< IMU, or feeder -> tracker
   rt::SpscRing<DetectorJob, 2> jobs_;                                ///< tracker -> detector; one under way at a time
   rt::SpscRing<DetectionEnd, 2> detections_;                         ///< detector -> tracker
   rt::TripleBuffer<hal::MachineState> machine_;                      ///< collector -> tracker
@@ -109,6 +115,7 @@ class ThreadedPipeline {
   // Feeder's own.
   std::uint64_t read_count_ = 0;    ///< pictures read
   std::uint64_t handed_count_ = 0;  ///< frames given to the tracker
+  ImuFeeder imu_;                   ///< the IMU thread's at real pace, else the feeder's
   // Tracker's own.
   Scheduler scheduler_;
   rt::TimeNs mapper_cpu_seen_ = 0;
@@ -117,6 +124,10 @@ class ThreadedPipeline {
   rt::TimeNs t_heard_ns_ = 0;         ///< when it came, or when the run began
   bool silent_ = false;
   bool detector_stuck_ = false;
+  std::optional<rt::TimeNs> t_imu_ns_;  ///< of the newest sample, or when it was first looked for
+  rt::TimeNs t_imu_lost_ns_ = 0;        ///< the same when it was called silent
+  bool imu_silent_ = false;
+  std::uint64_t imu_silences_ = 0;
 };
 
 }  // namespace godwit::app

@@ -25,7 +25,7 @@ std::uint64_t available_memory() {
 }  // namespace
 
 FlownCamera::FlownCamera(const sim::Flight& flight, const FlownCameraOptions& options)
-    : camera_(flight.camera(0)), real_pace_(options.real_pace) {
+    : camera_(flight.camera(0)), real_pace_(options.real_pace), time_(options.time) {
   first_ = static_cast<int>(std::min<std::int64_t>(options.start, camera_->frames()));
   left_ = camera_->frames() - first_;
   if (options.frames > 0) left_ = static_cast<int>(std::min<std::int64_t>(options.frames, left_));
@@ -90,6 +90,9 @@ hal::CameraStatus FlownCamera::next(const rt::MutableImageView& grey, std::uint8
     // first.
     if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns() - frame->t_source_ns;
     frame->t_capture_ns = start_ns_ + frame->t_source_ns;
+  }
+  if (time_ != nullptr && !time_->offset_ns()) time_->pin(frame->t_source_ns, frame->t_capture_ns);
+  if (real_pace_) {
     const rt::TimeNs wait = frame->t_capture_ns - rt::monotonic_now_ns();
     if (wait > 0) std::this_thread::sleep_for(std::chrono::nanoseconds(wait));
   }

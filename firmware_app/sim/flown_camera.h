@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "firmware_app/sim/truth_masks.h"
+#include "hal/replay_time.h"
 #include "hal/rt/result.h"
 #include "hal/sim/flight.h"
 
@@ -17,6 +18,7 @@ struct FlownCameraOptions {
   std::int64_t frames = 0;  ///< 0: all
   bool real_pace = false;   ///< pictures come at their capture times
   bool truth_masks = false;
+  hal::ReplayTime* time = nullptr;  ///< told when the first picture is captured; may be null
 };
 
 /// The flight outlives it. One thread calls next; masks() is asked by the tracker's.
@@ -55,6 +57,7 @@ class FlownCamera final : public hal::Camera {
   std::unique_ptr<sim::SimCamera> camera_;
   std::unique_ptr<TruthMasks> masks_;
   const bool real_pace_;
+  hal::ReplayTime* const time_;
   int first_ = 0, left_ = 0;
   std::vector<Drawn> ahead_;    ///< empty: drawn when asked for
   std::size_t next_ahead_ = 0;  ///< the next one to give out

@@ -2,6 +2,7 @@
 // thread sanitizer.
 #include "firmware_app/pipeline/pipeline.h"
 
+#include <algorithm>
 #include <gtest/gtest.h>
 #include <set>
 #include <vector>
@@ -22,6 +23,7 @@ class FakeCamera final : public hal::Camera {
   std::set<std::uint32_t> bad;      ///< due, but not readable
   std::set<std::uint32_t> skipped;  ///< numbers that the device leaves out
   rt::TimeNs period_ns = 0;         ///< real pace, as ReplayCamera keeps it
+  rt::TimeNs step_ns = 0;           ///< without a pace: by so much the capture times go on
 
   int width() const override { return kWidth; }
   int height() const override { return kHeight; }
@@ -30,10 +32,10 @@ class FakeCamera final : public hal::Camera {
                          std::string* why) override {
     while (skipped.count(next_) != 0) ++next_;
     if (next_ >= total_) return hal::CameraStatus::kEnd;
-    if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns();
+    if (start_ns_ == 0) start_ns_ = period_ns > 0 ? rt::monotonic_now_ns() : rt::kNsPerSecond;
     frame->sequence = next_++;
     frame->t_source_ns = static_cast<rt::TimeNs>(frame->sequence) * 1000;
-    frame->t_capture_ns = start_ns_ + static_cast<rt::TimeNs>(frame->sequence) * period_ns;
+    frame->t_capture_ns = start_ns_ + static_cast<rt::TimeNs>(frame->sequence) * (period_ns + step_ns);
     if (period_ns > 0) rt::sleep_until_ns(frame->t_capture_ns);
     if (bad.count(frame->sequence) != 0) {
       *why = "spoilt";
@@ -62,15 +64,24 @@ class FakeStage final : public FrameStage {
   std::uint64_t wrong_pixels = 0;  ///< tracker's own
   std::uint64_t wrong_kept = 0;    ///< mapper's own
   std::uint64_t mapped = 0;        ///< mapper's own
+  std::uint64_t samples = 0, samples_late = 0, samples_wrong = 0;
+  rt::TimeNs t_sample_ns = 0, t_frame_ns = 0;
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     if (!rt::in_rt_scope()) ++track_calls_outside_scope;
     if (track_ns > 0) rt::sleep_until_ns(rt::monotonic_now_ns() + track_ns);
     if (!intact(frame)) ++wrong_pixels;
+    t_frame_ns = frame.meta.t_capture_ns;
     record->state = "TRACKING";
     record->tracked = record->has_pose = true;
     const bool sent = frame.meta.sequence % 2 == 0 && to_mapper_.try_push(frame);
     tracker_return_.give_back(frame.slot, sent ? 1 : 2);
+  }
+  void take_imu(const hal::ImuSample& sample) override {
+    ++samples;
+    if (sample.t_ns <= t_sample_ns || !rt::in_rt_scope()) ++samples_wrong;
+    if (sample.t_ns <= t_frame_ns) ++samples_late;
+    t_sample_ns = sample.t_ns;
   }
   int mapper_backlog() const override { return static_cast<int>(to_mapper_.size()); }
   bool map_step() override {
@@ -99,6 +110,34 @@ class FakeStage final : public FrameStage {
   std::vector<rt::FrameHandle> kept_;
 };
 
+/// 1000 samples a second from one second on; some are spoilt.
+class FakeImu final : public hal::Imu {
+ public:
+  explicit FakeImu(int total) : total_(total) {}
+  std::set<int> missing, faults, backwards;
+  bool real_pace = false;
+
+  double rate_hz() const override { return 1000; }
+  hal::ImuStatus next(hal::ImuSample* sample, rt::TimeNs timeout_ns) override {
+    if (start_ns_ == 0) start_ns_ = real_pace ? rt::monotonic_now_ns() : rt::kNsPerSecond;
+    while (missing.count(next_) != 0) ++next_;
+    if (next_ >= total_) return hal::ImuStatus::kEnd;
+    const rt::TimeNs due = start_ns_ + next_ * rt::kNsPerMs;
+    if (real_pace) {
+      const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
+      rt::sleep_until_ns(std::min(due, give_up));
+      if (due > give_up) return hal::ImuStatus::kTimeout;
+    }
+    sample->t_ns = backwards.count(next_) != 0 ? rt::kNsPerMs : due;
+    return faults.count(next_++) != 0 ? hal::ImuStatus::kFault : hal::ImuStatus::kSample;
+  }
+
+ private:
+  const int total_;
+  int next_ = 0;
+  rt::TimeNs start_ns_ = 0;
+};
+
 class Collect final : public FrameSink {
  public:
   std::vector<FrameRecord> records;
@@ -111,6 +150,8 @@ class Collect final : public FrameSink {
     if (records.size() == stop_at) stop->store(true);
     return {};
   }
+  std::vector<rt::LogEntry> events;
+  void event(const rt::LogEntry& entry) override { events.push_back(entry); }
 };
 
 std::unique_ptr<rt::FramePool> make_pool(int slots) {
@@ -231,6 +272,71 @@ TEST_P(BothModes, StopEndsTheRun) {
   run.sink.stop_at = 20;
   ASSERT_TRUE(run.go().ok());
   EXPECT_GE(run.sink.records.size(), 20u);
+}
+
+TEST_P(BothModes, EachFrameFindsWhatTheImuMeasuredBeforeIt) {
+  TestRun run(300);
+  run.options.sequential = GetParam();
+  run.camera.step_ns = 33 * rt::kNsPerMs + 500'000;
+  FakeImu imu(100'000);
+  imu.missing = {2000};
+  run.options.imu = &imu;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok() && counters.value().imu);
+  EXPECT_EQ(run.stage.samples_late, 0u) << "handed over before the frame that was captured after it";
+  EXPECT_EQ(run.stage.samples_wrong, 0u) << "in order, and under real-time rules";
+  EXPECT_EQ(run.stage.samples, 10016u) << "the last frame is captured at 10.0165 s";
+  EXPECT_EQ(counters.value().imu->gaps, 1u);
+  EXPECT_EQ(counters.value().imu->dropped, 0u);
+}
+
+TEST(Pipeline, WithoutAPaceAPauseOfThePicturesLosesNoSample) {
+  TestRun run(3);
+  run.camera.step_ns = 5 * rt::kNsPerSecond;
+  FakeImu imu(100'000);
+  run.options.imu = &imu;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  EXPECT_EQ(run.stage.samples, 10'001u) << "five times what the ring holds, between two frames";
+  EXPECT_EQ(run.stage.samples_late, 0u);
+}
+
+TEST(Pipeline, AtRealPaceTheImuHasItsOwnThreadAndItsFaultsAreCounted) {
+  TestRun run(60);
+  run.options.newest_frame = true;
+  run.camera.period_ns = 10 * rt::kNsPerMs;
+  FakeImu imu(1'000'000);
+  imu.real_pace = true;
+  imu.missing = {50};
+  imu.faults = {60, 61};
+  imu.backwards = {70};
+  run.options.imu = &imu;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok() && counters.value().imu);
+  const ImuCounters& c = *counters.value().imu;
+  EXPECT_GT(c.samples, 400u);
+  EXPECT_GE(c.gaps, 3u) << "one that is missing, one of two faults, one behind a time that is not believed";
+  EXPECT_EQ(c.faults, 2u);
+  EXPECT_EQ(c.implausible, 1u);
+  EXPECT_EQ(c.dropped, 0u);
+  EXPECT_EQ(run.stage.samples_wrong, 0u);
+  EXPECT_GT(run.stage.samples, 400u);
+  EXPECT_STREQ(counters.value().threads.back().name, "imu");
+}
+
+TEST(Pipeline, AnImuThatEndsInTheMiddleIsCalledSilentOnce) {
+  TestRun run(100);
+  run.camera.step_ns = 33 * rt::kNsPerMs;
+  FakeImu imu(1000);
+  run.options.imu = &imu;
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
+  EXPECT_EQ(counters.value().imu->silences, 1u);
+  ASSERT_EQ(run.sink.events.size(), 1u);
+  const rt::LogEntry& e = run.sink.events[0];
+  EXPECT_STREQ(e.what, "IMU silent");
+  EXPECT_NEAR(e.value, 0.519, 1e-9) << "its last sample is of 0.999 s, the frame of 1.518 s";
+  EXPECT_NEAR(e.limit, 0.5, 1e-9);
 }
 
 TEST(Pipeline, AtRealPaceTheNewestFrameWinsAndDropsAreCounted) {

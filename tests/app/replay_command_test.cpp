@@ -73,6 +73,21 @@ TEST(Tool, WrongArgumentsAreRefusedWithCode2) {
   }
 }
 
+TEST_F(Replay, WatchesTheImuBesideTheCamera) {
+  EXPECT_THAT(replay("--imu watch").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
+  EXPECT_EQ(replay("--imu on").exit_code, 2) << "what is not used is not taken";
+  std::string samples;
+  for (int i = -10; i <= 20; ++i) samples += std::to_string(100 + 0.01 * i) + "001 0 0 0 0 0 -9.81\n";
+  write_file(sequence() + "/imu.txt", samples);
+  for (const char* mode : {"--sequential", "", "--pace real"}) {
+    const Outcome outcome = replay(std::string("--imu watch ") + mode);
+    EXPECT_EQ(outcome.exit_code, 0) << outcome.text;
+    EXPECT_THAT(outcome.text, HasSubstr("IMU: 21 samples, 0 gaps, 0 dropped")) << mode;
+    EXPECT_THAT(read_file(out() + "/summary.json"), HasSubstr(R"("imu": {"samples": 21, "gaps": 0)"));
+  }
+  EXPECT_THAT(replay("--imu watch --loop 2").text, HasSubstr("nobody measured the way back"));
+}
+
 TEST_F(Replay, WritesALineForEachPictureInBothModes) {
   for (const char* mode : {"--sequential", "", "--pace real"}) {
     const Outcome outcome = replay(mode);

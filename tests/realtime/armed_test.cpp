@@ -1,4 +1,5 @@
-// Armed: camera, tracker, mapper and link threads under traps for heap and locks, page faults counted. 1,000 frames, or
+// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks, page faults counted. 1,000
+// frames, or
 //   GODWIT_ARMED_FRAMES=10000 GODWIT_ARMED_FPS=30 [GODWIT_ARMED_LOAD=1] armed_test --gtest_filter=Armed.*
 // which also prints the figures of README.md. LOAD: a program that computes without end on the last processor.
 #include <algorithm>
@@ -83,6 +84,7 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   camera_options.interval_ns = rt::kNsPerSecond / fps;
   camera_options.total = frames;
   const auto camera = test::camera_of(camera_options);
+  test::RestingImu imu;
   test::Odometry odometry;
   test::Notes notes(static_cast<std::size_t>(frames));
 
@@ -94,13 +96,17 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
 
   Config config;
   config.threads.lock_memory = true;
+  config.threads.imu.priority = 65;
   config.threads.camera.priority = 60;
   config.threads.tracker.priority = 50;
   config.threads.mapper.priority = 10;
-  if (loaded) config.threads.camera.cpus = config.threads.tracker.cpus = config.threads.mapper.cpus = {0};
+  if (loaded)
+    config.threads.imu.cpus = config.threads.camera.cpus = config.threads.tracker.cpus =
+        config.threads.mapper.cpus = {0};
   PipelineOptions options;
   options.newest_frame = true;
   options.tap = &poses;
+  options.imu = &imu;
   plan_pipeline(config, fps, &options);
   const Load load(loaded);
 
@@ -144,6 +150,7 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
     ages.push_back(rt::to_ms(r.t_done_ns - r.t_capture_ns));
     tracker.push_back(rt::to_ms(r.wall_ns));
   }
+  EXPECT_GT(c.imu->samples, static_cast<std::uint64_t>(frames));
   EXPECT_GT(tracked, frames / 2) << "what is not flown proves nothing";
   EXPECT_GT(link_steps, static_cast<std::uint64_t>(frames) / 2);
   // The traps would have ended the program: heap and locks are proven by our being here.

@@ -52,6 +52,8 @@ class Told final : public FrameTap {
     silences.fetch_add(1);
     longest_ns.store(std::max(longest_ns.load(), now_ns - t_last_capture_ns));
   }
+  void imu_silent(bool silent) override { imu_told.fetch_add(silent ? 1 : 100); }
+  std::atomic<int> imu_told{0};  ///< each silence 1, each end of one 100
   std::atomic<int> silences{0};
   std::atomic<rt::TimeNs> longest_ns{0};
 
@@ -158,6 +160,27 @@ TEST(Fault, ASilentCameraIsToldAndNoOldPoseIsGivenOut) {
   for (const FrameRecord& r : f.notes.records) EXPECT_FALSE(r.sequence >= 60 && r.sequence < 150) << r.sequence;
   ASSERT_FALSE(f.notes.records.empty());
   EXPECT_EQ(f.notes.records.back().sequence, 199u) << "and then it goes on";
+}
+
+TEST(Fault, ASilentImuIsToldAndTrackingGoesOn) {
+  FaultFlight f(150);
+  test::RestingImu imu;
+  imu.mute_from_ns = 2 * rt::kNsPerSecond;
+  imu.mute_to_ns = 4 * rt::kNsPerSecond;
+  f.pipeline.imu = &imu;
+  const PipelineCounters c = f.fly();
+  ASSERT_TRUE(c.imu);
+  EXPECT_EQ(c.imu->silences, 1u);
+  EXPECT_EQ(c.imu->dropped, 0u);
+  EXPECT_GE(c.imu->gaps, 1u);
+  EXPECT_EQ(f.told.imu_told.load(), 101) << "the autopilot's node hears of its beginning and its end";
+  const auto silent = std::find_if(f.notes.events.begin(), f.notes.events.end(),
+                                   [](const rt::LogEntry& e) { return e.what == std::string("IMU silent"); });
+  ASSERT_NE(silent, f.notes.events.end());
+  EXPECT_GT(silent->value, silent->limit);
+  EXPECT_EQ(silent->limit, 0.5);
+  EXPECT_TRUE(f.notes.heard("IMU heard again"));
+  EXPECT_GT(f.tracked(60, 150), 0.9) << "pictures alone will do";
 }
 
 TEST(Fault, ACameraClockThatJumpsIsFoundOut) {

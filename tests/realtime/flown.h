@@ -1,6 +1,7 @@
 // A real odometry on pictures of the simulated world, rendered once for a test program, and what the tests ask of it.
 #pragma once
 
+#include <algorithm>
 #include <cstdlib>
 #include <fstream>
 #include <gtest/gtest.h>
@@ -12,6 +13,7 @@
 #include "firmware_app/pipeline/pipeline.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sources/looped_pictures.h"
+#include "hal/rt/wake_up.h"
 
 namespace godwit::test {
 
@@ -66,6 +68,27 @@ inline std::unique_ptr<app::LoopedPictures> camera_of(const app::LoopedPictures:
   }();
   return made->again(options);
 }
+
+/// 200 readings a second of a body at rest, but none for a while.
+class RestingImu final : public hal::Imu {
+ public:
+  rt::TimeNs mute_from_ns = 0, mute_to_ns = 0;  ///< counted from the first call
+  double rate_hz() const override { return 200; }
+  hal::ImuStatus next(hal::ImuSample* sample, rt::TimeNs timeout_ns) override {
+    const rt::TimeNs now = rt::monotonic_now_ns();
+    if (start_ns_ == 0) due_ns_ = start_ns_ = now;
+    if (due_ns_ >= start_ns_ + mute_from_ns && due_ns_ < start_ns_ + mute_to_ns) due_ns_ = start_ns_ + mute_to_ns;
+    rt::sleep_until_ns(std::min(due_ns_, now + timeout_ns));
+    if (due_ns_ > now + timeout_ns) return hal::ImuStatus::kTimeout;
+    sample->t_ns = due_ns_;
+    sample->accel_m_s2 = {0, 0, -9.81};
+    due_ns_ += 5 * rt::kNsPerMs;
+    return hal::ImuStatus::kSample;
+  }
+
+ private:
+  rt::TimeNs start_ns_ = 0, due_ns_ = 0;
+};
 
 /// Pool and stage for the street's camera.
 struct Odometry {

@@ -1,13 +1,12 @@
 #include "hal/camera/replay/picture_file.h"
 
+#include <algorithm>
 #include <array>
 #include <cassert>
-#include <cerrno>
-#include <cstdio>
-#include <cstring>
-#include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+
+#include "hal/record_file.h"
 
 namespace godwit::hal {
 
@@ -18,22 +17,6 @@ struct PictureDecoder::Impl {
 PictureDecoder::PictureDecoder() : impl_(new Impl) {}
 PictureDecoder::~PictureDecoder() {
   delete impl_;
-}
-
-rt::Result<std::vector<std::uint8_t>> read_whole_file(const std::string& file) {
-  const auto close = [](std::FILE* f) { std::fclose(f); };
-  const std::unique_ptr<std::FILE, decltype(close)> in(std::fopen(file.c_str(), "rb"), close);
-  if (in == nullptr) return rt::Error{file + ": " + std::strerror(errno)};
-  std::vector<std::uint8_t> bytes;
-  std::array<std::uint8_t, 65536> block{};
-  while (true) {
-    errno = 0;
-    const std::size_t n = std::fread(block.data(), 1, block.size(), in.get());
-    bytes.insert(bytes.end(), block.begin(), block.begin() + static_cast<std::ptrdiff_t>(n));
-    if (n == block.size()) continue;
-    if (std::ferror(in.get()) != 0) return rt::Error{file + ": " + std::strerror(errno)};
-    return bytes;
-  }
 }
 
 bool picture_is_whole(std::span<const std::uint8_t> bytes) {

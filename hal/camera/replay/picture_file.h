@@ -4,15 +4,11 @@
 #include <cstdint>
 #include <span>
 #include <string>
-#include <vector>
 
 #include "hal/rt/image.h"
 #include "hal/rt/result.h"
 
 namespace godwit::hal {
-
-/// The whole file. Error: names the file and the reason.
-rt::Result<std::vector<std::uint8_t>> read_whole_file(const std::string& file);
 
 /// Decodes picture files with buffers kept from call to call. One thread.
 class PictureDecoder {

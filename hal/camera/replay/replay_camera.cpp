@@ -20,12 +20,6 @@ bool is_file(const fs::path& path) {
   return fs::is_regular_file(path, ignored);
 }
 
-rt::Result<std::string> read_text(const std::string& file) {
-  auto bytes = read_whole_file(file);
-  if (!bytes) return bytes.error();
-  return std::string(bytes.value().begin(), bytes.value().end());
-}
-
 }  // namespace
 
 rt::Result<SequenceLayout> find_sequence(const std::string& folder) {
@@ -53,13 +47,13 @@ rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& 
   camera->layout_ = std::move(layout).value();
   const SequenceLayout& l = camera->layout_;
 
-  auto calibration_text = read_text(l.calibration_file);
+  auto calibration_text = read_text_file(l.calibration_file);
   if (!calibration_text) return rt::Error{calibration_text.error().message + " (the camera's calibration is needed)"};
   auto calibration = parse_calibration(calibration_text.value(), l.calibration_file);
   if (!calibration) return calibration.error();
   camera->calibration_ = calibration.value();
 
-  auto index_text = read_text(l.index_file);
+  auto index_text = read_text_file(l.index_file);
   if (!index_text) return index_text.error();
   auto index = l.kind == SequenceLayout::Kind::kTum ? parse_tum_index(index_text.value(), l.index_file)
                                                     : parse_euroc_index(index_text.value(), l.index_file);
@@ -146,6 +140,7 @@ CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* 
     const rt::TimeNs first_capture =
         options_.pace == ReplayOptions::Pace::kReal ? rt::monotonic_now_ns() + kLeadNs : rt::kNsPerSecond;
     rebase_ns_ = first_capture - t_ns;
+    if (options_.time != nullptr) options_.time->pin(t_ns, first_capture);
   }
   frame->t_source_ns = t_ns;
   frame->t_capture_ns = t_ns + rebase_ns_;

@@ -10,6 +10,7 @@
 #include "hal/camera/camera.h"
 #include "hal/camera/replay/picture_file.h"
 #include "hal/camera/replay/sequence_index.h"
+#include "hal/replay_time.h"
 
 namespace godwit::hal {
 
@@ -37,6 +38,8 @@ struct ReplayOptions {
   /// Times the chosen part is flown: forth, back, forth .. without a jump. The picture at a turn is shown once; times
   /// go on as if the way back took as long as the way there, and entries whose time is wrong are left out.
   std::int64_t passes = 1;
+  /// Told where the first picture lies on the clock, for the recording's other devices; may be null.
+  ReplayTime* time = nullptr;
 };
 
 struct ReplayCounters {

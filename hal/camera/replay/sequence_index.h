@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "hal/record_file.h"
 #include "hal/rt/result.h"
 #include "hal/rt/time.h"
 
@@ -35,12 +36,5 @@ rt::Result<SequenceIndex> parse_tum_index(std::string_view text, const std::stri
 
 /// Lines "nanoseconds,file". Errors as above.
 rt::Result<SequenceIndex> parse_euroc_index(std::string_view text, const std::string& name);
-
-/// "1305031102.175304" -> nanoseconds, without a detour through floating point. False: not a plain decimal number, or
-/// too large (9e9 seconds and more).
-bool parse_decimal_seconds(std::string_view text, rt::TimeNs* t_ns);
-
-/// Seconds with 9 decimals, exact. Precondition: t_ns >= 0.
-std::string format_seconds(rt::TimeNs t_ns);
 
 }  // namespace godwit::hal

@@ -1,0 +1,97 @@
+#include "hal/imu/replay/imu_record.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <system_error>
+
+#include "hal/record_file.h"
+
+namespace godwit::hal {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// No sensor that flies measures more: who stands beyond has other units, or other columns.
+constexpr double kMostRate = 100;
+constexpr double kMostForce = 1000;
+
+bool read_number(std::string_view text, double most, double* value) {
+  const char* const end = text.data() + text.size();
+  const auto read = std::from_chars(text.data(), end, *value);
+  return read.ec == std::errc() && read.ptr == end && std::abs(*value) <= most;  // false for a NaN, too
+}
+
+/// What is wrong with the six numbers of a line; empty: nothing.
+std::string read_readings(std::string_view line, char separator, ImuSample* sample) {
+  for (std::size_t i = 0; i < 6; ++i) {
+    const std::string_view field = take_field(&line, separator);
+    double* const value = i < 3 ? &sample->gyro_rad_s[i] : &sample->accel_m_s2[i - 3];
+    const double most = i < 3 ? kMostRate : kMostForce;
+    if (read_number(field, most, value)) continue;
+    return quoted(field) + " is not " + (i < 3 ? "a rate in rad/s" : "an acceleration in m/s^2") + " (at most " +
+           std::to_string(static_cast<int>(most)) + "); a line is time, three rates, three accelerations";
+  }
+  return line.empty() ? std::string() : "more than six readings: " + quoted(line);
+}
+
+double rate_of(const std::vector<ImuSample>& samples) {
+  std::vector<rt::TimeNs> steps;
+  for (std::size_t i = 1; i < samples.size(); ++i) steps.push_back(samples[i].t_ns - samples[i - 1].t_ns);
+  if (steps.empty()) return 0;
+  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
+  std::nth_element(steps.begin(), middle, steps.end());
+  return 1e9 / static_cast<double>(*middle);
+}
+
+rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char separator,
+                            bool (*read_time)(std::string_view, rt::TimeNs*), const char* time_words) {
+  ImuRecord record;
+  const auto read = for_each_record(text, name, [&](std::string_view line, int /*number*/) -> std::string {
+    ImuSample sample;
+    const std::string_view time = take_field(&line, separator);
+    if (!read_time(time, &sample.t_ns)) return quoted(time) + " is not a time in " + time_words;
+    std::string reason = read_readings(line, separator, &sample);
+    if (!reason.empty()) return reason;
+    if (!record.samples.empty() && sample.t_ns <= record.samples.back().t_ns) {
+      ++record.time_repeated;
+    } else {
+      record.samples.push_back(sample);
+    }
+    return {};
+  });
+  if (!read) return read.error();
+  if (record.samples.empty()) return rt::Error{name + ": holds no samples"};
+  record.rate_hz = rate_of(record.samples);
+  return record;
+}
+
+}  // namespace
+
+rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& name) {
+  return parse(text, name, ',', parse_nanoseconds, "whole nanoseconds");
+}
+
+rt::Result<ImuRecord> parse_tum_imu(std::string_view text, const std::string& name) {
+  return parse(text, name, ' ', parse_decimal_seconds, "decimal seconds");
+}
+
+rt::Result<ImuRecord> read_imu_record(const std::string& folder) {
+  const fs::path root(folder);
+  std::error_code ignored;
+  if (fs::is_regular_file(root / "imu.txt", ignored)) {
+    const auto text = read_text_file(root / "imu.txt");
+    if (!text) return text.error();
+    return parse_tum_imu(text.value(), root / "imu.txt");
+  }
+  for (const fs::path& imu0 : {root / "mav0" / "imu0", root / "imu0", root / ".." / "imu0"}) {
+    if (!fs::is_regular_file(imu0 / "data.csv", ignored)) continue;
+    const auto text = read_text_file(imu0 / "data.csv");
+    if (!text) return text.error();
+    return parse_euroc_imu(text.value(), imu0 / "data.csv");
+  }
+  return rt::Error{folder + ": no IMU: neither imu.txt nor mav0/imu0/data.csv is there"};
+}
+
+}  // namespace godwit::hal

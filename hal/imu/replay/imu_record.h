@@ -1,0 +1,32 @@
+// The readings of a recorded inertial sensor: EuRoC's imu0/data.csv and TUM-like imu.txt. Pure functions over text.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "hal/imu/imu.h"
+#include "hal/rt/result.h"
+
+namespace godwit::hal {
+
+struct ImuRecord {
+  std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
+  std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
+  double rate_hz = 0;               ///< by the median of the steps; 0: a single sample
+};
+
+/// Lines "nanoseconds,wx,wy,wz,ax,ay,az" [rad/s], [m/s^2]; '#' starts a comment. Error: names the file, line and
+/// reason; a line that cannot be read refuses the whole record (also one that is not finite, beyond 100 rad/s or
+/// 1000 m/s^2), and so does a record without samples.
+rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& name);
+
+/// Lines "seconds wx wy wz ax ay az". Errors as above.
+rt::Result<ImuRecord> parse_tum_imu(std::string_view text, const std::string& name);
+
+/// Reads what lies in a sequence's folder, in the layouts that cameras are replayed from: imu.txt; or mav0/imu0, imu0,
+/// or imu0 beside the folder. Error: none is there, or as above. Blocks.
+rt::Result<ImuRecord> read_imu_record(const std::string& folder);
+
+}  // namespace godwit::hal
