@@ -289,8 +289,8 @@ FrameResult Tracker::track(const FrameInput& in) {
   }
   evidence.measurements = result.measurements;
   result.state = health_.step(evidence);
-  // The initialisation has told why itself.
-  if (evidence.kind != FrameEvidence::Kind::kNoMap && evidence.kind != FrameEvidence::Kind::kFirstMap) {
+  // An initialisation that failed has told why itself.
+  if (evidence.kind != FrameEvidence::Kind::kNoMap) {
     const Reason& reason = health_.reason();
     result.reason = reason.text;
     result.reason_value = reason.value;

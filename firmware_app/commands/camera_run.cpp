@@ -5,6 +5,7 @@
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
 #include "firmware_app/link_runner.h"
+#include "firmware_app/output/event_line.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/pipeline/arming.h"
@@ -17,12 +18,13 @@ namespace {
 /// Frames that the detector may hold: the one it looks at, and the next.
 constexpr int kDetectorSlots = 2;
 
-/// Passes the frames on and shows how far the run is.
+/// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
  public:
   ShowingSink(FrameSink* next, ProgressBar* bar, std::string memory_refused)
       : next_(next), bar_(bar), memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
+    clock_.heard(record.t_capture_ns);
     bar_->show(++done_, record.state);
     return next_->take(record);
   }
@@ -30,13 +32,19 @@ class ShowingSink final : public FrameSink {
     const std::string warning = privilege_warning(memory_refused_, refused);
     if (!warning.empty()) fmt::print(stderr, "godwit: warning: {}\n", warning);
   }
-  void event(const rt::LogEntry& entry) override { next_->event(entry); }
+  void event(const rt::LogEntry& entry) override {
+    clock_.heard(entry.t_ns);
+    bar_->make_way();
+    fmt::print(stderr, "godwit: {}\n", event_line(entry, clock_.first_ns()));
+    next_->event(entry);
+  }
 
  private:
   FrameSink* next_;
   ProgressBar* bar_;
   const std::string memory_refused_;
   std::int64_t done_ = 0;
+  EventClock clock_;
 };
 
 void tell(const RunWriter& writer, const std::string& folder) {

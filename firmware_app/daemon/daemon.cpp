@@ -6,6 +6,7 @@
 
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/link_runner.h"
+#include "firmware_app/output/event_line.h"
 #include "firmware_app/pipeline/arming.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/sim/flight_calibration.h"
@@ -35,21 +36,19 @@ class Journal final : public FrameSink {
     say("armed");
   }
   rt::Result<void> take(const FrameRecord& record) override {
+    clock_.heard(record.t_capture_ns);
     if (record.tracked) ++tracked_;
-    if (record.fate != FrameFate::kProcessed || state_ == record.state) return {};
-    state_ = record.state;
-    say(fmt::format("{} at frame {}: {}", state_, record.sequence, record.reason.view()));
     return {};
   }
   void event(const rt::LogEntry& e) override {
-    say(fmt::format("{}{}{}: {} {:.4g}{}", e.what, e.which[0] != '\0' ? " to " : "", e.which, e.why, e.value,
-                    e.limit != 0 ? fmt::format(" (limit {:.4g})", e.limit) : ""));
+    clock_.heard(e.t_ns);
+    say(event_line(e, clock_.first_ns()));
   }
   std::uint64_t tracked() const { return tracked_; }
 
  private:
   const std::string memory_refused_;
-  std::string state_;
+  EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
 

@@ -12,6 +12,10 @@ constexpr std::int64_t kWidth = 40;
 ProgressBar::ProgressBar(std::int64_t total) : total_(total), terminal_(isatty(STDERR_FILENO) == 1) {}
 
 ProgressBar::~ProgressBar() {
+  make_way();
+}
+
+void ProgressBar::make_way() {
   if (terminal_ && last_ns_ != 0) std::fputs("\r\033[K", stderr);
 }
 

@@ -18,6 +18,8 @@ class ProgressBar {
 
   /// done of total frames; state of the newest.
   void show(std::int64_t done, const char* state);
+  /// Makes room for a line of text on the error stream; the bar comes back with the next show().
+  void make_way();
 
  private:
   const std::int64_t total_;

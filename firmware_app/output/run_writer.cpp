@@ -119,10 +119,8 @@ rt::Result<void> RunWriter::open(const std::string& folder, bool with_age) {
 rt::Result<void> RunWriter::take(const FrameRecord& r) {
   const bool processed = r.fate == FrameFate::kProcessed;
   if (processed) state_ = r.state;
-  if (first_t_ns_ < 0) {
-    first_t_ns_ = r.t_source_ns;
-    t_base_ns_ = r.t_capture_ns;
-  }
+  if (first_t_ns_ < 0) first_t_ns_ = r.t_source_ns;
+  clock_.heard(r.t_capture_ns);
   last_t_ns_ = std::max(last_t_ns_, r.t_source_ns);
   const double ms = rt::to_ms(r.wall_ns);
   const double thread_cpu_ms = rt::to_ms(r.thread_cpu_ns);
@@ -178,11 +176,12 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
 }
 
 void RunWriter::event(const rt::LogEntry& e) {
+  clock_.heard(e.t_ns);
   if (++events_seen_ > kEventsKept) return;
-  events_.push_back(
-      fmt::format(R"({{"t": {:.3f}, "what": {}, "which": {}, "why": {}, "value": {:.6g}, "limit": {:.6g}}})",
-                  rt::to_seconds(e.t_ns - t_base_ns_), json_string(e.what), json_string(e.which), json_string(e.why),
-                  e.value, e.limit));
+  events_.push_back(fmt::format(
+      R"({{"t": {:.3f}, "what": {}, "before": {}, "which": {}, "why": {}, "value": {:.6g}, "limit": {:.6g}}})",
+      rt::to_seconds(e.t_ns - clock_.first_ns()), json_string(e.what), json_string(e.before), json_string(e.which),
+      json_string(e.why), e.value, e.limit));
 }
 
 RunSummary RunWriter::summary() const {
@@ -240,9 +239,9 @@ rt::Result<void> RunWriter::finish(const RunDescription& d) {
   if (with_age_) {
     line("age_ms", json_statistics(s.age_ms));
     line("scheduler", json_scheduler(pipeline_));
-    line("events", json_list(events_));
-    line("events_not_kept", std::to_string(events_seen_ - events_.size() + pipeline_.events_lost));
   }
+  line("events", json_list(events_));
+  line("events_not_kept", std::to_string(events_seen_ - events_.size() + pipeline_.events_lost));
   if (const auto& imu = pipeline_.imu) {
     line("imu",
          fmt::format(R"({{"samples": {}, "gaps": {}, "faults": {}, "implausible": {}, "dropped": {}, "silences": {}}})",

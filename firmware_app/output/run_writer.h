@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "firmware_app/output/atomic_file.h"
+#include "firmware_app/output/event_line.h"
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/pipeline/pipeline.h"
 
@@ -49,7 +50,7 @@ class RunWriter final : public FrameSink {
   /// times are moments of this machine's clock (real pace), so the age of a pose can be told. Error: file, reason.
   rt::Result<void> open(const std::string& folder, bool with_age);
   rt::Result<void> take(const FrameRecord& record) override;
-  /// Kept for the summary, the first thousand.
+  /// Kept for the summary, the first thousand; their times count from the first picture's capture.
   void event(const rt::LogEntry& entry) override;
   /// What the pipeline counted, for the summary; before finish().
   void set_pipeline(const PipelineCounters& counters) { pipeline_ = counters; }
@@ -77,8 +78,8 @@ class RunWriter final : public FrameSink {
   rt::TimeNs first_t_ns_ = -1, last_t_ns_ = -1, first_pose_t_ns_ = -1;
   std::vector<double> ms_, thread_cpu_ms_, proc_cpu_ms_, age_ms_;
   std::vector<std::string> events_;  ///< as JSON
+  EventClock clock_;
   std::uint64_t events_seen_ = 0;
-  rt::TimeNs t_base_ns_ = 0;  ///< capture time of the first picture: events count from there
   std::vector<std::string> bad_reasons_;
 };
 

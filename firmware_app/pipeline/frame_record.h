@@ -45,6 +45,13 @@ struct ShortText {
   std::string_view view() const { return text.data(); }
 };
 
+/// A reason in parts, as the odometry measured it: static text, its figure and the limit; 0: there is none.
+struct Measured {
+  const char* text = "";
+  std::int32_t value = 0;
+  std::int32_t limit = 0;
+};
+
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
 struct FrameRecord {
   std::uint32_t sequence = 0;
@@ -69,7 +76,8 @@ struct FrameRecord {
   std::array<double, 3> t_world_cam{};
   std::array<double, 4> q_world_cam{};  ///< x y z w
   std::array<double, 21> covariance{};  ///< upper triangle by rows: translation, then rotation vector
-  ShortText reason;                     ///< why the state is what it is, or why the picture was not flown
+  Measured why;                         ///< why the state is what it is; processed frames
+  ShortText reason;                     ///< the same in words, or why the picture was not flown
 };
 
 }  // namespace godwit::app

@@ -92,6 +92,7 @@ class OdometryStage final : public FrameStage {
     record->state = vo::state_name(result.state);
     const vo::StageTimes& t = result.times;
     record->stage_ns = {t.pyramid, t.apply, t.initialise, t.align, t.reproject, t.pose, t.keyframe, 0};
+    record->why = {result.reason, result.reason_value, result.reason_limit};
     if (result.reason[0] != '\0')
       record->reason.assign_measured(result.reason, result.reason_value, result.reason_limit);
     if (!record->has_pose) return;

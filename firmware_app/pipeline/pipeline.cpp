@@ -3,6 +3,7 @@
 #include <cassert>
 
 #include "firmware_app/pipeline/feeder.h"
+#include "firmware_app/pipeline/state_watch.h"
 #include "firmware_app/pipeline/threaded_pipeline.h"
 #include "hal/rt/rt_scope.h"
 
@@ -33,6 +34,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
                                             const std::atomic<bool>& stop) {
   Feeder feeder(camera, pool, false);
   ImuFeeder imu(options.imu, false);
+  StateWatch state;
   PipelineCounters counters;
   int since_detection = options.scheduler.period_frames;
   // Relaxed: the flag orders nothing, it only ends the loop.
@@ -68,6 +70,8 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     count(record, &counters);
     auto taken = sink->take(record);
     if (!taken) return taken.error();
+    if (record.fate != FrameFate::kProcessed) continue;
+    if (const auto change = state.changed(record)) sink->event(*change);
   }
   if (options.imu != nullptr) counters.imu = imu.counters;
   return counters;

@@ -30,7 +30,8 @@ class FrameSink {
   virtual void started(const std::vector<std::string>& /*refused*/) {}
   /// Error: the run ends with it.
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
-  /// What a real-time thread had to say: changes of rung, a silent camera. The entry's text is static.
+  /// What a real-time thread had to say: changes of state and of rung, a silent camera. In the order in which they
+  /// happened, but not in step with take(). The entry's text is static.
   virtual void event(const rt::LogEntry& /*entry*/) {}
 };
 

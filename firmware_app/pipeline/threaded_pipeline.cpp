@@ -222,10 +222,10 @@ void ThreadedPipeline::look_for_imu_silence(rt::TimeNs now_ns) {
   if (silent) {
     ++imu_silences_;
     t_imu_lost_ns_ = *t_imu_ns_;
-    events_->say({now_ns, rt::LogLevel::kWarning, "IMU silent", "", "silent for [s]", rt::to_seconds(age),
+    events_->say({now_ns, rt::LogLevel::kWarning, "IMU silent", "", "for [s]", rt::to_seconds(age),
                   rt::to_seconds(options_.imu_silence_ns)});
   } else {
-    events_->say({now_ns, rt::LogLevel::kInfo, "IMU heard again", "", "silent for [s]",
+    events_->say({now_ns, rt::LogLevel::kInfo, "IMU heard again", "", "after [s]",
                   rt::to_seconds(*t_imu_ns_ - t_imu_lost_ns_), 0});
   }
   if (options_.tap != nullptr) options_.tap->imu_silent(silent);
@@ -265,13 +265,14 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
       stage_->limit_features(scheduler_.plan().feature_share);
       const bool down = change->to > change->from;
       events_->say({change->t_ns, down ? rt::LogLevel::kWarning : rt::LogLevel::kInfo, down ? "rung down" : "rung up",
-                    rung_name(change->to), rung_reason_name(change->reason), change->value, change->limit});
+                    rung_name(change->to), rung_reason_name(change->reason), change->value, change->limit,
+                    rung_name(change->from)});
     }
   }
   if (options_.detector == nullptr) return;
   if (scheduler_.detector_stuck() != detector_stuck_) {
     detector_stuck_ = !detector_stuck_;
-    events_->say({record.t_done_ns, detector_stuck_ ? rt::LogLevel::kWarning : rt::LogLevel::kInfo,
+    events_->say({record.t_capture_ns, detector_stuck_ ? rt::LogLevel::kWarning : rt::LogLevel::kInfo,
                   detector_stuck_ ? "detector hangs" : "detector is back", "", "age of the mask [s]",
                   rt::to_seconds(scheduler_.mask_age_ns(record.t_done_ns)), 0});
   }
@@ -286,8 +287,8 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
 void ThreadedPipeline::look_for_silence(rt::TimeNs now_ns) {
   if (!newest_frame_ || now_ns - t_heard_ns_ < kSilenceNs) return;
   if (!silent_) {
-    events_->say({now_ns, rt::LogLevel::kWarning, "no picture", "", "silent for [s]",
-                  rt::to_seconds(now_ns - t_heard_ns_), rt::to_seconds(kSilenceNs)});
+    events_->say({now_ns, rt::LogLevel::kWarning, "no picture", "", "for [s]", rt::to_seconds(now_ns - t_heard_ns_),
+                  rt::to_seconds(kSilenceNs)});
   }
   silent_ = true;
   if (options_.tap != nullptr) options_.tap->no_picture(now_ns, t_last_capture_ns_);
@@ -305,7 +306,7 @@ void ThreadedPipeline::look_around() {
 void ThreadedPipeline::note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns) {
   if (silent_) {
     events_->say(
-        {now_ns, rt::LogLevel::kInfo, "pictures again", "", "silent for [s]", rt::to_seconds(now_ns - t_heard_ns_), 0});
+        {now_ns, rt::LogLevel::kInfo, "pictures again", "", "after [s]", rt::to_seconds(now_ns - t_heard_ns_), 0});
   }
   silent_ = false;
   t_heard_ns_ = now_ns;
@@ -320,6 +321,7 @@ void ThreadedPipeline::track_one(rt::FrameHandle handle, rt::FrameReturn* tracke
   track_frame(stage_, handle, &record);
   note_picture(record.t_done_ns, record.t_capture_ns);
   if (options_.tap != nullptr) options_.tap->frame_done(record);
+  if (const auto change = state_.changed(record)) events_->say(*change);
   const rt::TimeNs mapper_cpu = mapper_cpu_ns_.load(std::memory_order_relaxed);
   record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen_;
   record.stage_ns[kMapStage] = record.mapper_cpu_ns;

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "firmware_app/pipeline/pipeline.h"
+#include "firmware_app/pipeline/state_watch.h"
 #include "hal/rt/spsc_ring.h"
 #include "hal/rt/triple_buffer.h"
 #include "hal/rt/wake_up.h"
@@ -118,6 +119,7 @@ class ThreadedPipeline {
   ImuFeeder imu_;                   ///< the IMU thread's at real pace, else the feeder's
   // Tracker's own.
   Scheduler scheduler_;
+  StateWatch state_;
   rt::TimeNs mapper_cpu_seen_ = 0;
   std::uint64_t through_ = 0;
   rt::TimeNs t_last_capture_ns_ = 0;  ///< of the newest picture flown

@@ -15,11 +15,12 @@ enum class LogLevel : std::uint8_t { kInfo, kWarning };
 struct LogEntry {
   TimeNs t_ns = 0;
   LogLevel level = LogLevel::kInfo;
-  const char* what = "";   ///< static text: what happened
-  const char* which = "";  ///< static text: to which part, or what it is now; may be empty
-  const char* why = "";    ///< static text: the reason; may be empty
-  double value = 0;        ///< the figure behind the reason
-  double limit = 0;        ///< 0: there is none
+  const char* what = "";    ///< static text: what happened
+  const char* which = "";   ///< static text: to which part, or what it is now; may be empty
+  const char* why = "";     ///< static text: the reason; may be empty
+  double value = 0;         ///< the figure behind the reason
+  double limit = 0;         ///< 0: there is none
+  const char* before = "";  ///< static text: what `which` was until now; may be empty
 };
 
 /// One writing thread, one reading thread. A full ring refuses and counts: a log that hangs holds nothing up.

@@ -6,6 +6,7 @@
 #include <sys/resource.h>
 
 #include "firmware_app/output/atomic_file.h"
+#include "firmware_app/output/event_line.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/output/statistics.h"
 #include "tests/support/temp_folder.h"
@@ -279,6 +280,20 @@ TEST(RunWriter, RefusesAFolderThatCannotBe) {
   const auto opened = below_file.open(folder / "file/below", false);
   ASSERT_FALSE(opened.ok());
   EXPECT_THAT(opened.error().message, HasSubstr("file/below: cannot be created"));
+}
+
+TEST(EventLine, SaysWhatWhyFigureAndLimit) {
+  const rt::TimeNs first = rt::kNsPerSecond;
+  const rt::TimeNs t = 13'430 * rt::kNsPerMs;
+  using rt::LogLevel;
+  EXPECT_EQ(event_line({t, LogLevel::kWarning, "state", "COASTING", "matched features", 12, 30, "TRACKING"}, first),
+            "t=12.43 s TRACKING -> COASTING: matched features 12, limit 30");
+  EXPECT_EQ(event_line({first, LogLevel::kInfo, "state", "INITIALISING", "first view", 0, 0}, first),
+            "t=0.00 s INITIALISING: first view");
+  EXPECT_EQ(event_line({t, LogLevel::kWarning, "IMU silent", "", "for [s]", 0.52, 0.5}, first),
+            "t=12.43 s IMU silent: for [s] 0.52, limit 0.5");
+  EXPECT_EQ(event_line({t, LogLevel::kWarning, "rung down", "small_input", "slips", 2, 2, "full"}, first),
+            "t=12.43 s rung down full -> small_input: slips 2, limit 2");
 }
 
 }  // namespace

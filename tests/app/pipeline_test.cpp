@@ -61,9 +61,10 @@ class FakeStage final : public FrameStage {
       : pool_(pool), tracker_return_(pool->reader(kTrackerReader)), mapper_return_(pool->reader(kMapperReader)) {}
   rt::TimeNs track_ns = 0;  ///< how long a frame takes
   int track_calls_outside_scope = 0;
-  std::uint64_t wrong_pixels = 0;  ///< tracker's own
-  std::uint64_t wrong_kept = 0;    ///< mapper's own
-  std::uint64_t mapped = 0;        ///< mapper's own
+  std::uint64_t wrong_pixels = 0;   ///< tracker's own
+  std::uint64_t wrong_kept = 0;     ///< mapper's own
+  std::uint64_t mapped = 0;         ///< mapper's own
+  std::vector<const char*> states;  ///< one a frame, then the last again; empty: always tracking
   std::uint64_t samples = 0, samples_late = 0, samples_wrong = 0;
   rt::TimeNs t_sample_ns = 0, t_frame_ns = 0;
 
@@ -73,6 +74,10 @@ class FakeStage final : public FrameStage {
     if (!intact(frame)) ++wrong_pixels;
     t_frame_ns = frame.meta.t_capture_ns;
     record->state = "TRACKING";
+    if (!states.empty()) {
+      record->state = states[std::min<std::size_t>(frame.meta.sequence, states.size() - 1)];
+      record->why = {"features", static_cast<std::int32_t>(frame.meta.sequence), 30};
+    }
     record->tracked = record->has_pose = true;
     const bool sent = frame.meta.sequence % 2 == 0 && to_mapper_.try_push(frame);
     tracker_return_.give_back(frame.slot, sent ? 1 : 2);
@@ -290,6 +295,35 @@ TEST_P(BothModes, EachFrameFindsWhatTheImuMeasuredBeforeIt) {
   EXPECT_EQ(counters.value().imu->dropped, 0u);
 }
 
+TEST_P(BothModes, EachChangeOfStateIsToldOnceWithItsReason) {
+  TestRun run(100);
+  run.options.sequential = GetParam();
+  run.camera.step_ns = 33 * rt::kNsPerMs;
+  run.camera.bad = {2, 5};
+  run.stage.states = {"INITIALISING", "INITIALISING", "?",    "TRACKING", "COASTING", "?",
+                      "TRACKING",     "RELOCALISING", "LOST", "TRACKING"};
+  ASSERT_TRUE(run.go().ok());
+  struct Change {
+    const char *before, *which;
+    int frame;
+  };
+  constexpr Change kExpected[] = {{"", "INITIALISING", 0},         {"INITIALISING", "TRACKING", 3},
+                                  {"TRACKING", "COASTING", 4},     {"COASTING", "TRACKING", 6},
+                                  {"TRACKING", "RELOCALISING", 7}, {"RELOCALISING", "LOST", 8},
+                                  {"LOST", "TRACKING", 9}};
+  ASSERT_EQ(run.sink.events.size(), std::size(kExpected));
+  for (std::size_t i = 0; i < std::size(kExpected); ++i) {
+    const rt::LogEntry& e = run.sink.events[i];
+    EXPECT_STREQ(e.what, "state");
+    EXPECT_STREQ(e.before, kExpected[i].before);
+    EXPECT_STREQ(e.which, kExpected[i].which);
+    EXPECT_STREQ(e.why, "features");
+    EXPECT_EQ(e.value, kExpected[i].frame);
+    EXPECT_EQ(e.limit, 30);
+    EXPECT_EQ(e.t_ns, rt::kNsPerSecond + kExpected[i].frame * 33 * rt::kNsPerMs);
+  }
+}
+
 TEST(Pipeline, WithoutAPaceAPauseOfThePicturesLosesNoSample) {
   TestRun run(3);
   run.camera.step_ns = 5 * rt::kNsPerSecond;
@@ -332,8 +366,8 @@ TEST(Pipeline, AnImuThatEndsInTheMiddleIsCalledSilentOnce) {
   const auto counters = run.go();
   ASSERT_TRUE(counters.ok());
   EXPECT_EQ(counters.value().imu->silences, 1u);
-  ASSERT_EQ(run.sink.events.size(), 1u);
-  const rt::LogEntry& e = run.sink.events[0];
+  ASSERT_EQ(run.sink.events.size(), 2u) << "the first is the first state";
+  const rt::LogEntry& e = run.sink.events[1];
   EXPECT_STREQ(e.what, "IMU silent");
   EXPECT_NEAR(e.value, 0.519, 1e-9) << "its last sample is of 0.999 s, the frame of 1.518 s";
   EXPECT_NEAR(e.limit, 0.5, 1e-9);

@@ -73,6 +73,14 @@ TEST(Tool, WrongArgumentsAreRefusedWithCode2) {
   }
 }
 
+TEST_F(Replay, TellsTheStateAndWhyInTheLog) {
+  for (const char* mode : {"--sequential", "", "--pace real"}) {
+    EXPECT_THAT(replay(mode).text, HasSubstr("godwit: t=0.00 s INITIALISING: ")) << mode;
+    EXPECT_THAT(read_file(out() + "/summary.json"), HasSubstr(R"("events": [
+    {"t": 0.000, "what": "state", "before": "", "which": "INITIALISING", "why": ")"));
+  }
+}
+
 TEST_F(Replay, WatchesTheImuBesideTheCamera) {
   EXPECT_THAT(replay("--imu watch").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
   EXPECT_EQ(replay("--imu on").exit_code, 2) << "what is not used is not taken";

@@ -90,6 +90,21 @@ struct FaultFlight {
     return all > 0 ? static_cast<double>(good) / all : 0;
   }
 
+  /// Each change of state that the frames show stands once in the log, with a reason, and nothing else does.
+  void expect_states_told() const {
+    std::vector<std::string> seen, told_of;
+    for (const FrameRecord& r : notes.records) {
+      if (r.fate == FrameFate::kProcessed && (seen.empty() || seen.back() != r.state)) seen.emplace_back(r.state);
+    }
+    for (const rt::LogEntry& e : notes.events) {
+      if (e.what != std::string("state")) continue;
+      EXPECT_STREQ(e.before, told_of.empty() ? "" : told_of.back().c_str());
+      EXPECT_STRNE(e.why, "");
+      told_of.emplace_back(e.which);
+    }
+    EXPECT_EQ(told_of, seen);
+  }
+
   test::Odometry odometry;
   std::unique_ptr<SpoiltCamera> camera;
   test::Notes notes;
@@ -160,6 +175,7 @@ TEST(Fault, ASilentCameraIsToldAndNoOldPoseIsGivenOut) {
   for (const FrameRecord& r : f.notes.records) EXPECT_FALSE(r.sequence >= 60 && r.sequence < 150) << r.sequence;
   ASSERT_FALSE(f.notes.records.empty());
   EXPECT_EQ(f.notes.records.back().sequence, 199u) << "and then it goes on";
+  f.expect_states_told();
 }
 
 TEST(Fault, ASilentImuIsToldAndTrackingGoesOn) {
@@ -202,6 +218,7 @@ TEST(Fault, ACameraClockThatJumpsIsFoundOut) {
       last = r.t_capture_ns;
     }
     EXPECT_GT(f.tracked(80, 120), 0.5) << "when the clock is right again it goes on";
+    f.expect_states_told();
   }
 }
 
