@@ -12,6 +12,8 @@ namespace {
 
 constexpr rt::TimeNs kStepNs = 5 * rt::kNsPerMs;
 constexpr rt::TimeNs kKeeperPeriodNs = 50 * rt::kNsPerMs;
+/// The tracker tells of each frame, and of a silent camera every 100 ms: without either for so long it hangs.
+constexpr rt::TimeNs kTrackerHangsNs = 500 * rt::kNsPerMs;
 constexpr rt::TimeNs kReportPeriodNs = 60 * rt::kNsPerSecond;
 
 const char* bus_state_text(hal::CanState state) {
@@ -75,6 +77,32 @@ const link::LinkStatus& LinkRunner::finish() {
 
 void LinkRunner::frame_done(const FrameRecord& record) {
   service_->publish(sampler_.sample(record));
+  camera_silent_.store(false, std::memory_order_relaxed);
+  t_tracker_alive_ns_.store(rt::monotonic_now_ns(), std::memory_order_relaxed);
+}
+
+void LinkRunner::no_picture(rt::TimeNs now_ns, rt::TimeNs /*t_last_capture_ns*/) {
+  camera_silent_.store(true, std::memory_order_relaxed);
+  t_tracker_alive_ns_.store(now_ns, std::memory_order_relaxed);
+}
+
+// Silence itself is an error at once, by the link node's own watch; here it gets its reason.
+void LinkRunner::look_at_machine(rt::TimeNs now_ns) {
+  link::SystemHealth health = health_;
+  const rt::TimeNs t_alive_ns = t_tracker_alive_ns_.load(std::memory_order_relaxed);
+  health.camera_ok = !camera_silent_.load(std::memory_order_relaxed);
+  health.process_ok = t_alive_ns == 0 || now_ns - t_alive_ns < kTrackerHangsNs;
+  health.imu_ok = imu_ok_.load(std::memory_order_relaxed);
+  const bool changed = health.camera_ok != health_.camera_ok || health.process_ok != health_.process_ok ||
+                       health.imu_ok != health_.imu_ok;
+  if (!changed && now_ns < t_next_health_ns_) return;
+  if (now_ns >= t_next_health_ns_) {
+    t_next_health_ns_ = now_ns + rt::kNsPerSecond;
+    const double temperature_c = machine_.read().temperature_c;
+    if (std::isfinite(temperature_c)) health.temperature_c = static_cast<float>(temperature_c);
+  }
+  health_ = health;
+  service_->publish(health);
 }
 
 void LinkRunner::run_link() {
@@ -98,14 +126,7 @@ void LinkRunner::run_keeper() {
       told_storage_error_ = error;
       tell(LinkLogLevel::kWarning, error);
     }
-    if (const rt::TimeNs now = rt::monotonic_now_ns(); now >= t_next_health_ns_) {
-      t_next_health_ns_ = now + rt::kNsPerSecond;
-      link::SystemHealth health;
-      health.imu_ok = imu_ok_.load(std::memory_order_relaxed);
-      const double temperature_c = machine_.read().temperature_c;
-      if (std::isfinite(temperature_c)) health.temperature_c = static_cast<float>(temperature_c);
-      service_->publish(health);
-    }
+    look_at_machine(rt::monotonic_now_ns());
     if (service_->take_status(&status_)) watch(status_);
     if (user_stop_.load(std::memory_order_relaxed) || restart_due()) stop_.store(true, std::memory_order_relaxed);
     rt::sleep_until_ns(rt::monotonic_now_ns() + kKeeperPeriodNs);

@@ -48,8 +48,10 @@ class LinkRunner final : public FrameTap {
 
   /// Tracker thread: sends the frame's pose. No allocation, no lock, no wait.
   void frame_done(const FrameRecord& record) override;
-  /// Tracker thread: told with the next status of the node.
+  /// Tracker thread.
   void imu_silent(bool silent) override { imu_ok_.store(!silent, std::memory_order_relaxed); }
+  /// Tracker thread: it lives, and the camera is silent.
+  void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override;
   /// One thread: what the autopilot told, oldest first.
   bool take_input(link::AutopilotInput* input) { return service_->take_input(input); }
 
@@ -65,6 +67,7 @@ class LinkRunner final : public FrameTap {
   void run_link();
   void run_keeper();
   void watch(const link::LinkStatus& status);
+  void look_at_machine(rt::TimeNs now_ns);
   void tell(LinkLogLevel level, const std::string& text) const;
 
   const LinkRunnerOptions options_;
@@ -75,9 +78,15 @@ class LinkRunner final : public FrameTap {
   std::atomic<bool> ending_{false};
   std::atomic<bool> stop_{false};         ///< keeper -> pipeline
   std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
-  std::atomic<bool> imu_ok_{true};        ///< tracker -> keeper; relaxed as well
-  link::LinkStatus status_;               ///< keeper's; finish() reads it after the join
-  link::LinkStatus told_;                 ///< keeper's: what the log has been told
+  /// Tracker -> keeper: when it last gave a sign of life (0: not yet), that no picture comes, that samples do. Relaxed:
+  /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
+  /// silence by then.
+  std::atomic<rt::TimeNs> t_tracker_alive_ns_{0};
+  std::atomic<bool> camera_silent_{false};
+  std::atomic<bool> imu_ok_{true};
+  link::SystemHealth health_;  ///< keeper's: as published last
+  link::LinkStatus status_;    ///< keeper's; finish() reads it after the join
+  link::LinkStatus told_;      ///< keeper's: what the log has been told
   rt::TimeNs t_next_report_ns_ = 0;
   rt::TimeNs t_next_health_ns_ = 0;
   std::string told_storage_error_;

@@ -1,5 +1,6 @@
 #include "firmware_app/link/link_service.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -68,6 +69,8 @@ void LinkService::wait(rt::TimeNs timeout_ns) {
   // poll passes over descriptors below zero: a bus that is gone or not there.
   std::array<pollfd, 3> events{pollfd{wake_fd_, POLLIN, 0}, pollfd{bus_ ? bus_->descriptor() : -1, POLLIN, 0},
                                pollfd{bytes_ ? bytes_->descriptor() : -1, POLLIN, 0}};
+  const rt::TimeNs silence_ns = node_->t_silence_ns() - rt::monotonic_now_ns();
+  if (silence_ns > 0) timeout_ns = std::min(timeout_ns, silence_ns);
   const timespec timeout{timeout_ns / rt::kNsPerSecond, timeout_ns % rt::kNsPerSecond};
   ppoll(events.data(), events.size(), &timeout, nullptr);
   std::uint64_t posts = 0;

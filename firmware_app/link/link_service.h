@@ -37,7 +37,8 @@ class LinkService {
   /// A thread for log and display: the newest status; false where it has been read already.
   bool take_status(LinkStatus* status) { return status_.read(status); }
 
-  /// Link thread: sleeps until a pose or a frame comes, at most timeout_ns (5 ms at most are wise: step() keeps time).
+  /// Link thread: sleeps until a pose or a frame comes or silence becomes an error, at most timeout_ns (5 ms at most
+  /// are wise: step() keeps time).
   void wait(rt::TimeNs timeout_ns);
   /// Link thread. No allocation, no lock, no blocking call.
   void step(rt::TimeNs now_ns) { node_->step(now_ns); }

@@ -37,7 +37,7 @@ struct PoseSample {
 
 /// How the machine is. Written by whoever watches camera, IMU and threads.
 struct SystemHealth {
-  bool camera_ok = true;
+  bool camera_ok = true;    ///< pictures come
   bool imu_ok = true;
   bool process_ok = true;   ///< threads alive, no page faults or slips out of bounds
   bool detector_ok = true;  ///< its absence is a warning, no failure

@@ -3,14 +3,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
+
+#include "vo_core/health.h"
 
 namespace godwit::app {
 namespace {
 
 constexpr double kJumpPosition = 0.05;           // [m]
 constexpr double kJumpAngle = 1.0 * M_PI / 180;  // [rad]
-
-constexpr std::array<std::string_view, 5> kStates = {"INITIALISING", "TRACKING", "COASTING", "RELOCALISING", "LOST"};
 
 /// Rotation vector from one attitude to the other, in the axes of `from`.
 Eigen::Vector3d turn(const Eigen::Quaterniond& from, const Eigen::Quaterniond& to) {
@@ -43,8 +44,17 @@ Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam) {
 }
 
 link::PoseState pose_state(std::string_view name) {
-  const auto* found = std::find(kStates.begin(), kStates.end(), name);
-  return found == kStates.end() ? link::PoseState::kLost : static_cast<link::PoseState>(found - kStates.begin());
+  using P = link::PoseState;
+  using S = vo::State;
+  constexpr std::array<std::pair<S, P>, 5> kStates = {{{S::kInitialising, P::kInitialising},
+                                                       {S::kTracking, P::kTracking},
+                                                       {S::kCoasting, P::kCoasting},
+                                                       {S::kRelocalising, P::kRelocalising},
+                                                       {S::kLost, P::kLost}}};
+  for (const auto& [state, told] : kStates) {
+    if (name == vo::state_name(state)) return told;
+  }
+  return P::kLost;
 }
 
 void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance) {

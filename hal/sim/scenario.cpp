@@ -215,16 +215,17 @@ void read_world(Section s, WorldPlan* w) {
 }
 
 void read_leg(Section& s, Leg* leg) {
-  constexpr std::array<std::pair<std::string_view, LegKind>, 8> kKinds = {{{"take_off", LegKind::kTakeOff},
+  constexpr std::array<std::pair<std::string_view, LegKind>, 9> kKinds = {{{"take_off", LegKind::kTakeOff},
                                                                            {"hover", LegKind::kHover},
                                                                            {"path", LegKind::kPath},
                                                                            {"survey", LegKind::kSurvey},
                                                                            {"dash", LegKind::kDash},
                                                                            {"spin", LegKind::kSpin},
                                                                            {"climb", LegKind::kClimb},
-                                                                           {"land", LegKind::kLand}}};
+                                                                           {"land", LegKind::kLand},
+                                                                           {"tilt", LegKind::kTilt}}};
   if (s.get("kind") == nullptr) {
-    s.complain("kind", "is missing; allowed: take_off, hover, path, survey, dash, spin, climb, land");
+    s.complain("kind", "is missing; allowed: take_off, hover, path, survey, dash, spin, climb, land, tilt");
     return;
   }
   s.choice("kind", kKinds, &leg->kind);
@@ -236,12 +237,18 @@ void read_leg(Section& s, Leg* leg) {
   };
   if (k == LegKind::kHover) need("duration_s", 0.1, 600, &leg->duration_s);
   if (k == LegKind::kTakeOff || k == LegKind::kClimb) need("height_m", 0.3, 500, &leg->height_m);
-  if (k != LegKind::kHover && k != LegKind::kSpin) need("speed_m_s", 0.05, 30, &leg->speed_m_s);
+  const bool in_place = k == LegKind::kHover || k == LegKind::kSpin || k == LegKind::kTilt;
+  if (!in_place) need("speed_m_s", 0.05, 30, &leg->speed_m_s);
   if (k == LegKind::kDash) need("distance_m", 0.1, 2000, &leg->distance_m);
   if (k == LegKind::kSpin) {
     need("angle_deg", -3600, 3600, &leg->angle_deg);
     need("rate_deg_s", 1, 360, &leg->rate_deg_s);
     if (std::abs(leg->angle_deg) < 1) s.complain("angle_deg", "a spin turns at least 1 degree");
+  }
+  if (k == LegKind::kTilt) {
+    need("pitch_deg", -60, 60, &leg->pitch_deg);
+    need("roll_deg", -60, 60, &leg->roll_deg);
+    need("rate_deg_s", 1, 90, &leg->rate_deg_s);
   }
   if (k == LegKind::kSurvey) {
     need("length_m", 1, 1000, &leg->length_m);

@@ -16,7 +16,8 @@ constexpr int kBlurSteps = 12;      // the rough plan is averaged over +- this m
 
 struct Rough {
   Vec3 p;
-  double yaw;
+  double yaw = 0;
+  Vec2 tilt = Vec2::Zero();  ///< pitch and roll beyond what flying takes
 };
 
 /// Walks the legs with a trapezoidal speed; corners of position and yaw are rounded afterwards.
@@ -66,6 +67,9 @@ class Planner {
       }
       case LegKind::kSpin:
         spin(leg.angle_deg * kRad, leg.rate_deg_s * kRad);
+        break;
+      case LegKind::kTilt:
+        tilt(Vec2(leg.pitch_deg, leg.roll_deg) * kRad, leg.rate_deg_s * kRad);
         break;
     }
   }
@@ -140,6 +144,20 @@ class Planner {
     now_.yaw = start + angle;
   }
 
+  void tilt(const Vec2& to, double rate) {
+    const Vec2 from = now_.tilt;
+    const double angle = (to - from).norm();
+    if (angle <= 0) return;
+    double total = 0;
+    for (double t = 0;; t += kPlanStep) {
+      const double s = trapezoid(t, angle, rate, 2.0, &total);
+      if (t >= total) break;
+      now_.tilt = from + s / angle * (to - from);
+      rough_.push_back(now_);
+    }
+    now_.tilt = to;
+  }
+
   const TrajectoryPlan& plan_;
   double ground_;
   Rough now_{};
@@ -149,14 +167,15 @@ class Planner {
 /// The rough plan, averaged over a window, at step i (clamped).
 Rough smoothed(const std::vector<Rough>& rough, double i) {
   const int n = static_cast<int>(rough.size()), centre = static_cast<int>(std::lround(i));
-  Rough sum{Vec3::Zero(), 0};
+  Rough sum{Vec3::Zero(), 0, Vec2::Zero()};
   for (int k = centre - kBlurSteps; k <= centre + kBlurSteps; ++k) {
     const Rough& r = rough[static_cast<std::size_t>(std::clamp(k, 0, n - 1))];
     sum.p += r.p;
     sum.yaw += r.yaw;
+    sum.tilt += r.tilt;
   }
   const double w = 1.0 / (2 * kBlurSteps + 1);
-  return {sum.p * w, sum.yaw * w};
+  return {sum.p * w, sum.yaw * w, sum.tilt * w};
 }
 
 QuinticSpline make_spline(const TrajectoryPlan& plan, double ground_m, std::uint64_t seed) {
@@ -184,7 +203,7 @@ QuinticSpline make_spline(const TrajectoryPlan& plan, double ground_m, std::uint
     const double airborne = std::clamp((b.p.z() - ground_m - plan.start_height_m) / 1.5, 0.0, 1.0);
     const double gain = plan.sway * (plan.start_height_m > 1.0 ? 1.0 : airborne);
     Vec6& out = control[static_cast<std::size_t>(i)];
-    out << b.p, b.yaw, -std::atan2(lean_forward, kGravity), std::atan2(lean_right, kGravity);
+    out << b.p, b.yaw, b.tilt.x() - std::atan2(lean_forward, kGravity), b.tilt.y() + std::atan2(lean_right, kGravity);
     out += gain * sway;
   }
   return QuinticSpline(std::move(control), kKnot);

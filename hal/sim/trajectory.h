@@ -1,4 +1,5 @@
-// Where the aircraft is: legs (take-off, hover, path, survey, dash, spin, climb, land) made into one smooth motion.
+// Where the aircraft is: legs (take-off, hover, path, survey, dash, spin, climb, land, tilt) made into one smooth
+// motion.
 //
 // World frame: x, y on the ground, z up; heading counts from x towards y. Body frame: x forward, y right, z down (FRD).
 #pragma once
@@ -17,7 +18,7 @@ using Mat3 = Eigen::Matrix3d;
 
 constexpr double kGravity = 9.80665;
 
-enum class LegKind : std::uint8_t { kTakeOff, kHover, kPath, kSurvey, kDash, kSpin, kClimb, kLand };
+enum class LegKind : std::uint8_t { kTakeOff, kHover, kPath, kSurvey, kDash, kSpin, kClimb, kLand, kTilt };
 
 /// One leg of a flight. Which fields count depends on kind.
 struct Leg {
@@ -27,7 +28,9 @@ struct Leg {
   double speed_m_s = 1;        ///< all that move
   double distance_m = 0;       ///< dash: along the present heading
   double angle_deg = 0;        ///< spin: positive turns from x towards y
-  double rate_deg_s = 0;       ///< spin
+  double rate_deg_s = 0;       ///< spin, tilt
+  double pitch_deg = 0;        ///< tilt: nose up; as a hand tilts it, in place, and kept until the next tilt
+  double roll_deg = 0;         ///< tilt: right side down
   double length_m = 0;         ///< survey: along the present heading
   double width_m = 0;          ///< survey: to the left of it
   double spacing_m = 0;        ///< survey: between lanes

@@ -56,14 +56,22 @@ class Sniffer(threading.Thread):
                 out.append((t, transfer))
         return out
 
+    def broadcasts(self, type_id, source=OUR_NODE):
+        """(t, payload) of every DroneCAN message of a type."""
+        return [(t, x.payload) for t, x in self.transfers(source) if x.data_type_id == type_id and not x.service_not_message]
+
+    def statuses(self, source=OUR_NODE):
+        return self.broadcasts(341, source)
+
+    def odometry(self, source=OUR_NODE):
+        return [(t, m) for t, m in self.messages(source) if m.get_type() == "ODOMETRY"]
+
     def messages(self, source=OUR_NODE):
         """(t, message) of every MAVLink message that came through the tunnel, parsed by pymavlink."""
         parser = mavlink.MAVLink(None)
         out = []
-        for t, transfer in self.transfers(source):
-            if transfer.service_not_message or transfer.data_type_id != 3001:
-                continue
-            for message in parser.parse_buffer(bytes(transfer.payload.buffer.to_bytes())) or []:
+        for t, tunnel in self.broadcasts(3001, source):
+            for message in parser.parse_buffer(bytes(tunnel.buffer.to_bytes())) or []:
                 out.append((t, message))
         return out
 

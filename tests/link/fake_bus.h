@@ -52,7 +52,8 @@ class FakeBus final : public hal::CanBus {
   std::vector<std::pair<rt::TimeNs, hal::CanFrame>> sent;
   std::vector<hal::CanFrame> inbox;
   std::size_t next = 0;
-  std::size_t budget = SIZE_MAX;  ///< frames taken until the queue is full
+  std::size_t budget = SIZE_MAX;    ///< frames taken until the queue is full
+  std::size_t budget_per_step = 0;  ///< LinkHarness::step() sets budget to it; 0: leaves it
   hal::CanState state_now = hal::CanState::kActive;
   hal::CanCounters counts;
   std::vector<hal::CanFilter> filters;
@@ -95,6 +96,7 @@ class LinkHarness {
 
   void step() {
     bus.now = now;
+    if (bus.budget_per_step > 0) bus.budget = bus.budget_per_step;
     link->step(now);
     if (serve_storage) storage.serve();
     now += rt::kNsPerMs;
@@ -103,7 +105,10 @@ class LinkHarness {
     const rt::TimeNs end = now + static_cast<rt::TimeNs>(seconds * 1e9);
     while (now < end) {
       if (now >= next_frame + 5 * rt::kNsPerMs) {
-        if (camera) poses.write(make_pose(next_frame));
+        if (camera) {
+          poses.write(make_pose(next_frame));
+          t_last_pose = now;
+        }
         next_frame += static_cast<rt::TimeNs>(1e9 / camera_hz);
       }
       step();
@@ -201,6 +206,7 @@ class LinkHarness {
   std::unique_ptr<LinkNode> link;
   rt::TimeNs now = 1000 * rt::kNsPerSecond;
   rt::TimeNs next_frame = now;
+  rt::TimeNs t_last_pose = 0;  ///< when run() gave the last one
   double camera_hz = 30;
   bool camera = true;
   bool serve_storage = true;

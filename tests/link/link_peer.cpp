@@ -1,9 +1,9 @@
 // Flies a known trajectory through the link on a real bus, for the Python peers to look at:
 //   godwit_link_peer --can multicast:0 [--mavlink udp:...] --seconds S [--state DIR] [--poses FILE] [--rate HZ]
-//     [--set NAME=VALUE]... [--lost FROM:TO] [--stall FROM:TO] [--reset AT] [--no-scale] [--origin]
-// Writes each pose it published to FILE ("t_us state px py pz qw qx qy qz vx vy vz", camera in world), and at the end
-// one line of JSON with what the link says of itself and how long a step with a pose took. Exit code 75: RestartNode
-// came.
+//     [--set NAME=VALUE]... [--lost FROM:TO] [--stall FROM:TO] [--reset AT] [--scale-at AT] [--no-gravity] [--origin]
+// Writes each pose it published to FILE ("t_us state px py pz qw qx qy qz vx vy vz scale", camera in world), and at the
+// end one line of JSON with what the link says of itself and how long a step with a pose took. Exit code 75:
+// RestartNode came.
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -27,9 +27,9 @@ struct Window {
 
 struct Options {
   std::string can, mavlink, state, poses;
-  double seconds = 10, camera_hz = 30, reset_at = 1e9;
+  double seconds = 10, camera_hz = 30, reset_at = 1e9, scale_at = 0;
   Window lost, stall;
-  bool scale = true;
+  bool gravity = true;
   LinkConfig link;
 };
 
@@ -44,8 +44,8 @@ bool parse(int argc, char** argv, Options* o) {
     const std::string a = argv[i];
     const bool has_value = i + 1 < argc;
     const auto value = [&] { return argv[++i]; };
-    if (a == "--no-scale")
-      o->scale = false;
+    if (a == "--no-gravity")
+      o->gravity = false;
     else if (a == "--origin")
       o->link.mavlink.origin = mavlink::GlobalOrigin{47.3977, 8.5456, 488.0};
     else if (!has_value)
@@ -62,6 +62,8 @@ bool parse(int argc, char** argv, Options* o) {
       o->seconds = std::atof(value());
     else if (a == "--rate")
       o->camera_hz = std::atof(value());
+    else if (a == "--scale-at")
+      o->scale_at = std::atof(value());
     else if (a == "--reset")
       o->reset_at = std::atof(value());
     else if (a == "--lost")
@@ -163,7 +165,8 @@ int main(int argc, char** argv) {
     if (now >= next_frame + 5 * rt::kNsPerMs) {  // five milliseconds of odometry
       PoseSample s = pose_at(rt::to_seconds(next_frame - start));
       s.t_capture_ns = next_frame;
-      s.has_scale = o.scale;
+      s.has_scale = t >= o.scale_at;
+      s.has_gravity = o.gravity;
       if (t >= o.reset_at && resets == 0) resets = 1;
       s.reset_counter = resets;
       if (o.lost.holds(t)) s.state = PoseState::kLost;
@@ -171,10 +174,10 @@ int main(int argc, char** argv) {
       if (pose) {
         poses->write(s);
         if (log != nullptr) {
-          std::fprintf(log, "%lld %d %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n",
+          std::fprintf(log, "%lld %d %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f %.9f %d\n",
                        static_cast<long long>(s.t_capture_ns / 1000), static_cast<int>(s.state), s.position[0],
                        s.position[1], s.position[2], s.orientation[0], s.orientation[1], s.orientation[2],
-                       s.orientation[3], s.velocity[0], s.velocity[1], s.velocity[2]);
+                       s.orientation[3], s.velocity[0], s.velocity[1], s.velocity[2], s.has_scale ? 1 : 0);
           std::fflush(log);
         }
       }

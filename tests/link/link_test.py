@@ -15,16 +15,10 @@ import tempfile
 import time
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, mavlink, uavcan  # noqa: E402
 
-FAILURES = []
 LATE_START = 19  # a process that starts in the middle of somebody's transfer counts each frame of the rest
-
-
-def check(condition, text):
-    print(("ok    " if condition else "FAIL  ") + text)
-    if not condition:
-        FAILURES.append(text)
 
 
 def start(program, *arguments):
@@ -57,7 +51,7 @@ def services(program, fd):
         ap.node.set_canfd(fd)
         process = start(program, "--seconds", "60", "--state", state, "--origin", "--set", "VIO_CANFD=%d" % fd)
         ap.spin(3.2)
-        statuses = [(t, x.payload) for t, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+        statuses = sniffer.statuses()
         gaps = [b[0] - a[0] for a, b in zip(statuses, statuses[1:])]
         check(len(statuses) >= 3 and max(gaps) < 1.5, "NodeStatus each second (gaps %s)" % ["%.2f" % g for g in gaps])
         check(statuses[-1][1].health == 0 and statuses[-1][1].mode == 0, "operational and healthy")
@@ -125,7 +119,7 @@ def services(program, fd):
         second, code = finish(process, ap.spin)
         check(second["reset_counter"] > first["reset_counter"],
               "the reset counter goes on over a restart: %d, %d" % (first["reset_counter"], second["reset_counter"]))
-        logs = [str(x.payload.text) for _, x in sniffer.transfers() if x.data_type_id == 16383 and not x.service_not_message]
+        logs = [str(m.text) for _, m in sniffer.broadcasts(16383)]
         check(any("tracking" in text for text in logs), "LogMessage: %s" % logs[:2])
         check(first["errors"] <= LATE_START and second["errors"] <= LATE_START, "transport errors: %d, %d" % (first["errors"], second["errors"]))
         ap.node.close()
@@ -203,8 +197,7 @@ def odometry(program, seconds, fd):
         lines = {int(w[0]): w for w in (line.split() for line in open(poses))}
         ap.node.close()
     check(code == 0, "ran to its end")
-    messages = sniffer.messages()
-    samples = [(t, m) for t, m in messages if m.get_type() == "ODOMETRY"]
+    samples = sniffer.odometry()
     span = samples[-1][0] - samples[0][0]
     rate = (len(samples) - 1) / span
     # A busy machine may publish fewer than 30 poses a second; the link must pass on what was published.
@@ -277,7 +270,7 @@ def lost_and_stalled(program):
         finish_after(process, ap, 9)
         lines = [w.split() for w in open(poses)]
         ap.node.close()
-    samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    samples = sniffer.odometry()
     lost = [int(w[0]) for w in lines if w[1] == "4"]
     good = {int(w[0]) for w in lines if w[1] != "4"}
     # The very first (link_node_test.cpp), unless this machine bunched frames closer than the autopilot takes them.
@@ -295,7 +288,7 @@ def lost_and_stalled(program):
     before = [int(w[0]) for w in lines]
     gap_at = max(range(1, len(before)), key=lambda i: before[i] - before[i - 1])
     last = before[gap_at - 1] * 1e-6 + 0.005  # when the last pose before the silence was published
-    statuses = [(t, x.payload) for t, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+    statuses = sniffer.statuses()
     errors = [t for t, s in statuses if s.health == 2]
     # To the nanosecond in link_node_test.cpp; here a busy machine may add its own delay.
     check(errors and errors[0] - last < 0.300, "health ERROR %.1f ms after the last pose" % (1e3 * (errors[0] - last)))
@@ -318,7 +311,7 @@ def interface_removed(program):
     subprocess.run("ip link set lo up && ip link set lo multicast on && ip route replace 239.0.0.0/8 dev lo", shell=True, check=True)
     up = time.monotonic()
     result, code = finish(process)
-    samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    samples = sniffer.odometry()
     check(code == 0 and sum(t < down for t, _ in samples) > 60, "flies before, and is no worse for it")
     after = [(t, m) for t, m in samples if t > up]
     check(after and after[0][0] - up < 1.0, "poses again %.0f ms after it came back" % (1e3 * (after[0][0] - up) if after else -1))
@@ -362,16 +355,30 @@ def px4(program):
 
 
 def unscaled(program):
-    print("without scale")
+    print("without scale until 3.5 s")
+    with tempfile.TemporaryDirectory() as folder:
+        poses = os.path.join(folder, "poses")
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        process = start(program, "--seconds", "6", "--poses", poses, "--scale-at", "3.5", "--set", "VIO_REQ_POSE=1")
+        finish_after(process, ap, 6)
+        metric = {int(w[0]): w[-1] == "1" for w in (line.split() for line in open(poses))}
+        ap.node.close()
+    samples = [m for _, m in sniffer.odometry() if m.time_usec in metric]
+    before = [m for m in samples if not metric[m.time_usec]]
+    after = [m for m in samples if metric[m.time_usec]]
+    check(len(before) > 70 and all(m.quality == -1 and m.x == 0 for m in before), "%d samples of quality -1 and no position" % len(before))
+    check(any(abs(m.q[3]) > 0.05 for m in before), "but the attitude, which gravity gives")
+    check(len(after) > 50 and all(m.quality > 0 for m in after), "%d of quality above 0 from the first with scale on" % len(after))
+    healths = [s.health for _, s in sniffer.statuses()]
+    check(1 in healths and healths[-1] == 0, "VIO_REQ_POSE: the node is not healthy before it has a pose, and is then")
+
+    print("without gravity")
     sniffer, ap = Sniffer(0), EmulatedAutopilot()
-    process = start(program, "--seconds", "4", "--no-scale", "--set", "VIO_REQ_POSE=1")
-    finish_after(process, ap, 4)
+    process = start(program, "--seconds", "3", "--no-gravity")
+    finish_after(process, ap, 3)
     ap.node.close()
-    samples = [m for _, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
-    check(len(samples) > 90 and all(m.quality == -1 and m.x == 0 for m in samples), "quality -1 and no position")
-    check(any(abs(m.q[3]) > 0.05 for m in samples), "but the attitude, which gravity gives")
-    statuses = [x.payload for _, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
-    check(statuses[-1].health == 1, "VIO_REQ_POSE: the node is not healthy before it has a pose")
+    samples = [m for _, m in sniffer.odometry()]
+    check(len(samples) > 60 and all(m.quality == -1 and (m.x, m.q[0]) == (0, 1) for m in samples), "quality -1, neither position nor attitude")
 
 
 def main():
@@ -388,11 +395,7 @@ def main():
              "interface": lambda: interface_removed(args.program),
              "px4": lambda: px4(args.program),
              "unscaled": lambda: unscaled(args.program)}
-    for name, case in cases.items():
-        if not args.only or name in args.only.split(","):
-            case()
-    print("%d failed" % len(FAILURES))
-    return 1 if FAILURES else 0
+    run_cases(cases, args.only)
 
 
 if __name__ == "__main__":

@@ -21,9 +21,9 @@ import zlib
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import numpy as np  # noqa: E402
+from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, uavcan  # noqa: E402
 
-FAILURES = []
 WINDOW, GAP_S = 6, 0.3  # of the velocity fit
 # 0.35 rad down, off the body's centre.
 C, D = math.cos(0.35), math.sin(0.35)
@@ -34,12 +34,6 @@ REALTIME = "".join("[threads.%s]\npriority = %d\n" % x for x in
                    (("camera", 60), ("tracker", 50), ("mapper", 10), ("link", 55)))
 CONFIG = "[link]\nT_body_cam = [%s, 0, 0, 0, 1]\n" % ", ".join(
     "%.17g" % x for row, t in zip(R_BODY_CAM, ARM) for x in (*row, t))
-
-
-def check(condition, text):
-    print(("ok    " if condition else "FAIL  ") + text, flush=True)
-    if not condition:
-        FAILURES.append(text)
 
 
 def black_png(width, height):
@@ -208,7 +202,7 @@ def odometry(program, source, seconds, strict, realtime):
         if code != 0:
             print(text)
             return
-        samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+        samples = sniffer.odometry()
         good, unmatched, wrong_quality, velocities, worst, _, matched = compare(samples, out)
         summary = json.load(open(os.path.join(out, "summary.json")))
     link = summary["link"]
@@ -260,7 +254,7 @@ def without_scale(program, source):
         sniffer, ap = Sniffer(0), EmulatedAutopilot()
         _, code = fly(program, source, os.path.join(folder, "out"), ap, "--frames", "90")
         ap.node.close()
-    samples = [m for _, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+    samples = [m for _, m in sniffer.odometry()]
     check(code == 0 and len(samples) > 40 and all(m.quality == -1 and (m.x, m.y, m.z, m.vx) == (0, 0, 0, 0) for m in samples),
           "%d samples, all of quality -1, none with a position" % len(samples))
 
@@ -278,7 +272,7 @@ def lost_and_silent(program, source):
         ap.node.close()
         check(code == 0, "flew to its end")
         frames = list(csv.DictReader(open(os.path.join(out, "frames.csv"))))
-        samples = [(t, m) for t, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+        samples = sniffer.odometry()
         _, unmatched, wrong_quality, _, _, offset, _ = compare(samples, out)
     check(unmatched == 0 and wrong_quality == 0, "quality -1 with every frame that has no pose, and with no other")
     lost = [f for i, f in enumerate(frames) if i in black and f["fate"] == "processed"]
@@ -289,7 +283,7 @@ def lost_and_silent(program, source):
     seen = [(m.x, m.y, m.z, m.time_usec) for _, m in samples if m.quality > 0]
     check(len({s[:3] for s in seen}) == len(seen), "no pose is frozen: none of %d was sent twice" % len(seen))
     last = max(nanoseconds(f["t"]) for i, f in enumerate(frames) if i < missing[0] and f["fate"] == "processed") / 1000 + offset
-    statuses = [(t, x.payload) for t, x in sniffer.transfers() if x.data_type_id == 341 and not x.service_not_message]
+    statuses = sniffer.statuses()
     errors = [t for t, s in statuses if s.health == 2 and t > last * 1e-6]
     arrival = next((t for t, m in samples if abs(m.time_usec - last) <= 5), last * 1e-6)
     check(errors and errors[0] - arrival < 0.3,
@@ -341,7 +335,7 @@ def daemon(program, scenario):
             print(said)
         check(process.returncode == 0 and "link: " in said and "ODOMETRY sent" in said and "thread gw-link:" in said, "flies, tells its figures, ends with 0")
         check(info is not None and str(info.name) == "org.godwit.vio" and info.status.health == 0, "its node is there and well")
-        samples = [m for _, m in sniffer.messages() if m.get_type() == "ODOMETRY"]
+        samples = [m for _, m in sniffer.odometry()]
         check(len(samples) > 20 and all(m.quality == -1 and m.x == 0 for m in samples),
               "%d ODOMETRY, all of quality -1: it knows no scale" % len(samples))
         check(os.path.exists(os.path.join(folder, "link_reset_counter.txt")), "keeps its reset counter")
@@ -366,11 +360,7 @@ def main():
              "restart": lambda: restarted(args.program, args.sequence)}
     if args.scenario:
         cases["daemon"] = lambda: daemon(args.program, args.scenario)
-    for name, case in cases.items():
-        if not args.only or name in args.only.split(","):
-            case()
-    print("%d failed" % len(FAILURES))
-    return 1 if FAILURES else 0
+    run_cases(cases, args.only)
 
 
 if __name__ == "__main__":

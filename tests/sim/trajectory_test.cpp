@@ -107,6 +107,26 @@ TEST(Trajectory, HeadingTurnsFromXTowardsY) {
   EXPECT_NEAR(end.R_world_body(0, 1), 1, 0.02) << "right wing along x";
 }
 
+TEST(Trajectory, ATiltIsNoseUpAndRightSideDownAndStays) {
+  TrajectoryPlan plan;
+  plan.start_height_m = 5;
+  plan.sway = 0;
+  Leg tilt = leg(LegKind::kTilt), hover = leg(LegKind::kHover);
+  hover.duration_s = 3;
+  tilt.rate_deg_s = 20;
+  tilt.pitch_deg = 25;
+  plan.legs = {tilt, hover};
+  const Trajectory nose_up(plan, 0, 1);
+  const BodyState up = nose_up.at(nose_up.duration_s());
+  EXPECT_NEAR(up.R_world_body(2, 0), std::sin(25 * M_PI / 180), 1e-6) << "the nose points up";
+  EXPECT_LT((up.position_m - nose_up.at(0).position_m).norm(), 1e-9) << "in place";
+  plan.legs[0].pitch_deg = 0;
+  plan.legs[0].roll_deg = 30;
+  const Trajectory right_down(plan, 0, 1);
+  const BodyState down = right_down.at(right_down.duration_s());
+  EXPECT_NEAR(down.R_world_body(2, 1), -std::sin(30 * M_PI / 180), 1e-6) << "the right wing points down";
+}
+
 TEST(Trajectory, SameSeedSameFlightOtherSeedOtherSway) {
   const Trajectory a(lively_plan(), 0, 3), b(lively_plan(), 0, 3), c(lively_plan(), 0, 4);
   EXPECT_EQ(a.at(9.1).position_m, b.at(9.1).position_m);

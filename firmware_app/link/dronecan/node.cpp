@@ -280,7 +280,9 @@ void Node::step(rt::TimeNs now_ns, const NodeCondition& condition, const Reassem
     return;
   }
   const rt::TimeNs since = now_ns - t_status_ns_;
-  if (since >= kStatusPeriodNs || (condition != condition_ && since >= kMinStatusGapNs)) {
+  // What becomes worse is told at once. What becomes better keeps the distance, which bounds both.
+  const bool worse = condition.health > condition_.health;
+  if (since >= kStatusPeriodNs || worse || (condition != condition_ && since >= kMinStatusGapNs)) {
     condition_ = condition;
     t_status_ns_ = since >= kStatusPeriodNs && since < 2 * kStatusPeriodNs ? t_status_ns_ + kStatusPeriodNs : now_ns;
     broadcast(status_, TxClass::kFlight, kStatusPriority, &status_transfer_id_, now_ns);

@@ -214,9 +214,10 @@ bool Reassembler::accept(const CanFrame& frame, rt::TimeNs now_ns, Transfer* out
     if (!start(s, frame, now_ns)) return false;
   } else {
     if (!s.used || !s.open) {
-      // The echo of a last frame whose transfer is done is no error.
-      const bool echo = s.used && s.last_length == frame.length &&
+      // The echo of a last frame whose transfer is done is no error, nor is any frame of that transfer sent again.
+      const bool same = s.last_length == frame.length &&
                         std::equal(s.last.begin(), s.last.begin() + s.last_length, frame.data.begin());
+      const bool echo = s.used && (same || distance(out->transfer_id, s.transfer_id) == 1);
       ++(echo ? counters_.repeated : counters_.missed_start);
       return false;
     }

@@ -8,10 +8,15 @@
 
 namespace godwit::link::mavlink {
 
-struct Heartbeat {
-  static constexpr std::uint32_t kId = 0;
-  static constexpr std::uint8_t kCrcExtra = 50;
-  static constexpr std::size_t kLength = 9;
+/// Number of a message, the byte that its definition adds to the checksum, and its full length with extensions.
+template <std::uint32_t Id, std::uint8_t CrcExtra, std::size_t Length>
+struct MessageInfo {
+  static constexpr std::uint32_t kId = Id;
+  static constexpr std::uint8_t kCrcExtra = CrcExtra;
+  static constexpr std::size_t kLength = Length;
+};
+
+struct Heartbeat : MessageInfo<0, 50, 9> {
   static constexpr const char* kName = "HEARTBEAT";
   static constexpr std::uint8_t kModeArmed = 128;
   std::uint32_t custom_mode = 0;
@@ -30,10 +35,7 @@ struct Heartbeat {
   }
 };
 
-struct ParamRequestRead {
-  static constexpr std::uint32_t kId = 20;
-  static constexpr std::uint8_t kCrcExtra = 214;
-  static constexpr std::size_t kLength = 20;
+struct ParamRequestRead : MessageInfo<20, 214, 20> {
   static constexpr const char* kName = "PARAM_REQUEST_READ";
   std::int16_t param_index = -1;
   std::uint8_t target_system = 0;
@@ -47,10 +49,7 @@ struct ParamRequestRead {
   }
 };
 
-struct ParamValue {
-  static constexpr std::uint32_t kId = 22;
-  static constexpr std::uint8_t kCrcExtra = 220;
-  static constexpr std::size_t kLength = 25;
+struct ParamValue : MessageInfo<22, 220, 25> {
   static constexpr const char* kName = "PARAM_VALUE";
   float param_value = 0;
   std::uint16_t param_count = 0;
@@ -66,10 +65,7 @@ struct ParamValue {
   }
 };
 
-struct RawImu {
-  static constexpr std::uint32_t kId = 27;
-  static constexpr std::uint8_t kCrcExtra = 144;
-  static constexpr std::size_t kLength = 29;
+struct RawImu : MessageInfo<27, 144, 29> {
   static constexpr const char* kName = "RAW_IMU";
   std::uint64_t time_usec = 0;
   std::int16_t xacc = 0, yacc = 0, zacc = 0;     ///< [mG]
@@ -93,10 +89,7 @@ struct RawImu {
   }
 };
 
-struct AttitudeQuaternion {
-  static constexpr std::uint32_t kId = 31;
-  static constexpr std::uint8_t kCrcExtra = 246;
-  static constexpr std::size_t kLength = 48;
+struct AttitudeQuaternion : MessageInfo<31, 246, 48> {
   static constexpr const char* kName = "ATTITUDE_QUATERNION";
   std::uint32_t time_boot_ms = 0;
   float q1 = 0, q2 = 0, q3 = 0, q4 = 0;  ///< w x y z, body FRD to NED
@@ -115,10 +108,7 @@ struct AttitudeQuaternion {
   }
 };
 
-struct LocalPositionNed {
-  static constexpr std::uint32_t kId = 32;
-  static constexpr std::uint8_t kCrcExtra = 185;
-  static constexpr std::size_t kLength = 28;
+struct LocalPositionNed : MessageInfo<32, 185, 28> {
   static constexpr const char* kName = "LOCAL_POSITION_NED";
   std::uint32_t time_boot_ms = 0;
   float x = 0, y = 0, z = 0, vx = 0, vy = 0, vz = 0;
@@ -133,10 +123,7 @@ struct LocalPositionNed {
   }
 };
 
-struct GlobalPositionInt {
-  static constexpr std::uint32_t kId = 33;
-  static constexpr std::uint8_t kCrcExtra = 104;
-  static constexpr std::size_t kLength = 28;
+struct GlobalPositionInt : MessageInfo<33, 104, 28> {
   static constexpr const char* kName = "GLOBAL_POSITION_INT";
   std::uint32_t time_boot_ms = 0;
   std::int32_t lat = 0, lon = 0;           ///< [1e-7 degree]
@@ -156,10 +143,7 @@ struct GlobalPositionInt {
   }
 };
 
-struct SetGpsGlobalOrigin {
-  static constexpr std::uint32_t kId = 48;
-  static constexpr std::uint8_t kCrcExtra = 41;
-  static constexpr std::size_t kLength = 21;
+struct SetGpsGlobalOrigin : MessageInfo<48, 41, 21> {
   static constexpr const char* kName = "SET_GPS_GLOBAL_ORIGIN";
   std::int32_t latitude = 0, longitude = 0;  ///< [1e-7 degree]
   std::int32_t altitude = 0;                 ///< [mm]
@@ -174,10 +158,7 @@ struct SetGpsGlobalOrigin {
   }
 };
 
-struct GpsGlobalOrigin {
-  static constexpr std::uint32_t kId = 49;
-  static constexpr std::uint8_t kCrcExtra = 39;
-  static constexpr std::size_t kLength = 20;
+struct GpsGlobalOrigin : MessageInfo<49, 39, 20> {
   static constexpr const char* kName = "GPS_GLOBAL_ORIGIN";
   std::int32_t latitude = 0, longitude = 0, altitude = 0;
   std::uint64_t time_usec = 0;
@@ -189,10 +170,7 @@ struct GpsGlobalOrigin {
   }
 };
 
-struct CommandLong {
-  static constexpr std::uint32_t kId = 76;
-  static constexpr std::uint8_t kCrcExtra = 152;
-  static constexpr std::size_t kLength = 33;
+struct CommandLong : MessageInfo<76, 152, 33> {
   static constexpr const char* kName = "COMMAND_LONG";
   static constexpr std::uint16_t kSetMessageInterval = 511;
   float param1 = 0, param2 = 0, param3 = 0, param4 = 0, param5 = 0, param6 = 0, param7 = 0;
@@ -213,10 +191,7 @@ struct CommandLong {
   }
 };
 
-struct CommandAck {
-  static constexpr std::uint32_t kId = 77;
-  static constexpr std::uint8_t kCrcExtra = 143;
-  static constexpr std::size_t kLength = 10;
+struct CommandAck : MessageInfo<77, 143, 10> {
   static constexpr const char* kName = "COMMAND_ACK";
   std::uint16_t command = 0;
   std::uint8_t result = 0;
@@ -233,10 +208,7 @@ struct CommandAck {
   }
 };
 
-struct VisionPositionEstimate {
-  static constexpr std::uint32_t kId = 102;
-  static constexpr std::uint8_t kCrcExtra = 158;
-  static constexpr std::size_t kLength = 117;
+struct VisionPositionEstimate : MessageInfo<102, 158, 117> {
   static constexpr const char* kName = "VISION_POSITION_ESTIMATE";
   std::uint64_t usec = 0;
   float x = 0, y = 0, z = 0, roll = 0, pitch = 0, yaw = 0;
@@ -255,10 +227,7 @@ struct VisionPositionEstimate {
   }
 };
 
-struct VisionSpeedEstimate {
-  static constexpr std::uint32_t kId = 103;
-  static constexpr std::uint8_t kCrcExtra = 208;
-  static constexpr std::size_t kLength = 57;
+struct VisionSpeedEstimate : MessageInfo<103, 208, 57> {
   static constexpr const char* kName = "VISION_SPEED_ESTIMATE";
   std::uint64_t usec = 0;
   float x = 0, y = 0, z = 0;
@@ -274,10 +243,7 @@ struct VisionSpeedEstimate {
   }
 };
 
-struct HighresImu {
-  static constexpr std::uint32_t kId = 105;
-  static constexpr std::uint8_t kCrcExtra = 93;
-  static constexpr std::size_t kLength = 63;
+struct HighresImu : MessageInfo<105, 93, 63> {
   static constexpr const char* kName = "HIGHRES_IMU";
   std::uint64_t time_usec = 0;
   float xacc = 0, yacc = 0, zacc = 0;     ///< [m/s^2]
@@ -306,10 +272,7 @@ struct HighresImu {
   }
 };
 
-struct Timesync {
-  static constexpr std::uint32_t kId = 111;
-  static constexpr std::uint8_t kCrcExtra = 34;
-  static constexpr std::size_t kLength = 18;
+struct Timesync : MessageInfo<111, 34, 18> {
   static constexpr const char* kName = "TIMESYNC";
   std::int64_t tc1 = 0;                                  ///< 0 in a question, the answerer's time [ns] in an answer
   std::int64_t ts1 = 0;                                  ///< the asker's time [ns]
@@ -322,10 +285,7 @@ struct Timesync {
   }
 };
 
-struct ScaledImu2 {
-  static constexpr std::uint32_t kId = 116;
-  static constexpr std::uint8_t kCrcExtra = 76;
-  static constexpr std::size_t kLength = 24;
+struct ScaledImu2 : MessageInfo<116, 76, 24> {
   static constexpr const char* kName = "SCALED_IMU2";
   std::uint32_t time_boot_ms = 0;
   std::int16_t xacc = 0, yacc = 0, zacc = 0, xgyro = 0, ygyro = 0, zgyro = 0, xmag = 0, ymag = 0, zmag = 0;
@@ -345,10 +305,7 @@ struct ScaledImu2 {
   }
 };
 
-struct DistanceSensor {
-  static constexpr std::uint32_t kId = 132;
-  static constexpr std::uint8_t kCrcExtra = 85;
-  static constexpr std::size_t kLength = 39;
+struct DistanceSensor : MessageInfo<132, 85, 39> {
   static constexpr const char* kName = "DISTANCE_SENSOR";
   std::uint32_t time_boot_ms = 0;
   std::uint16_t min_distance = 0, max_distance = 0, current_distance = 0;  ///< [cm]
@@ -372,10 +329,7 @@ struct DistanceSensor {
   }
 };
 
-struct StatusText {
-  static constexpr std::uint32_t kId = 253;
-  static constexpr std::uint8_t kCrcExtra = 83;
-  static constexpr std::size_t kLength = 54;
+struct StatusText : MessageInfo<253, 83, 54> {
   static constexpr const char* kName = "STATUSTEXT";
   enum Severity : std::uint8_t { kError = 3, kWarning = 4, kNotice = 5, kInfo = 6 };
   std::uint8_t severity = 0;
@@ -390,10 +344,7 @@ struct StatusText {
   }
 };
 
-struct Odometry {
-  static constexpr std::uint32_t kId = 331;
-  static constexpr std::uint8_t kCrcExtra = 91;
-  static constexpr std::size_t kLength = 233;
+struct Odometry : MessageInfo<331, 91, 233> {
   static constexpr const char* kName = "ODOMETRY";
   std::uint64_t time_usec = 0;
   float x = 0, y = 0, z = 0;
