@@ -204,6 +204,8 @@ class EmulatedAutopilot:
             self.send(mavlink.MAVLink_local_position_ned_message(ms, 1, 2, -3, 0, 0, 0))
         if 33 in wanted:
             self.send(mavlink.MAVLink_global_position_int_message(ms, 473977000, 85456000, 488000, 0, 0, 0, 0, 0))
+        self.node.broadcast(uavcan.equipment.range_sensor.Measurement(
+            sensor_id=1, sensor_type=2, reading_type=1, field_of_view=0.05, range=1.5))
         self.node.broadcast(uavcan.equipment.air_data.StaticPressure(static_pressure=95000.0, static_pressure_variance=4.0))
         self.node.broadcast(uavcan.equipment.ahrs.RawIMU(rate_gyro_latest=[0.1, 0, 0], accelerometer_latest=[0, 0, -9.8]))
         self.node.broadcast(uavcan.protocol.GlobalTimeSync(previous_transmission_timestamp_usec=self.micros()))

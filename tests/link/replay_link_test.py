@@ -288,6 +288,9 @@ def lost_and_silent(program, source):
     arrival = next((t for t, m in samples if abs(m.time_usec - last) <= 5), last * 1e-6)
     check(errors and errors[0] - arrival < 0.3,
           "camera silent: health ERROR %.1f ms after the last pose" % (1e3 * (errors[0] - arrival) if errors else -1))
+    reasons = [s.vendor_specific_status_code for t, s in statuses if s.health == 2 and t > last * 1e-6]
+    check(reasons and reasons[0] & 8 and not reasons[0] & 1 and any(r & 1 for r in reasons) and not any(r & 4 for r in reasons),
+          "first the missing poses are the reason, then the camera is named, never the process: %s" % [hex(r) for r in reasons])
     during = [m for t, m in samples if last + 150e3 < m.time_usec < last + 900e3]
     check(len(during) > 8 and all(m.quality == -1 for m in during), "meanwhile the stream goes on with quality -1 (%d)" % len(during))
     gaps = [b[0] - a[0] for a, b in zip(samples, samples[1:])]
