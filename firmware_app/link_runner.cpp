@@ -93,9 +93,8 @@ void LinkRunner::look_at_machine(rt::TimeNs now_ns) {
   health.camera_ok = !camera_silent_.load(std::memory_order_relaxed);
   health.process_ok = t_alive_ns == 0 || now_ns - t_alive_ns < kTrackerHangsNs;
   health.imu_ok = imu_ok_.load(std::memory_order_relaxed);
-  const bool changed = health.camera_ok != health_.camera_ok || health.process_ok != health_.process_ok ||
-                       health.imu_ok != health_.imu_ok;
-  if (!changed && now_ns < t_next_health_ns_) return;
+  health.detector_ok = detector_ok_.load(std::memory_order_relaxed);
+  if (health == health_ && now_ns < t_next_health_ns_) return;
   if (now_ns >= t_next_health_ns_) {
     t_next_health_ns_ = now_ns + rt::kNsPerSecond;
     const double temperature_c = machine_.read().temperature_c;

@@ -50,6 +50,8 @@ class LinkRunner final : public FrameTap {
   void frame_done(const FrameRecord& record) override;
   /// Tracker thread.
   void imu_silent(bool silent) override { imu_ok_.store(!silent, std::memory_order_relaxed); }
+  /// Tracker thread.
+  void detector_hangs(bool hangs) override { detector_ok_.store(!hangs, std::memory_order_relaxed); }
   /// Tracker thread: it lives, and the camera is silent.
   void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override;
   /// One thread: what the autopilot told, oldest first.
@@ -78,12 +80,13 @@ class LinkRunner final : public FrameTap {
   std::atomic<bool> ending_{false};
   std::atomic<bool> stop_{false};         ///< keeper -> pipeline
   std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
-  /// Tracker -> keeper: when it last gave a sign of life (0: not yet), that no picture comes, that samples do. Relaxed:
+  /// Tracker -> keeper: when it last gave a sign of life (0: not yet), and what it sees of the others. Relaxed:
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
   /// silence by then.
   std::atomic<rt::TimeNs> t_tracker_alive_ns_{0};
   std::atomic<bool> camera_silent_{false};
   std::atomic<bool> imu_ok_{true};
+  std::atomic<bool> detector_ok_{true};
   link::SystemHealth health_;  ///< keeper's: as published last
   link::LinkStatus status_;    ///< keeper's; finish() reads it after the join
   link::LinkStatus told_;      ///< keeper's: what the log has been told

@@ -37,11 +37,12 @@ struct PoseSample {
 
 /// How the machine is. Written by whoever watches camera, IMU and threads.
 struct SystemHealth {
-  bool camera_ok = true;    ///< pictures come
+  bool camera_ok = true;  ///< pictures come
   bool imu_ok = true;
   bool process_ok = true;   ///< threads alive, no page faults or slips out of bounds
   bool detector_ok = true;  ///< its absence is a warning, no failure
   float temperature_c = 0;
+  bool operator==(const SystemHealth&) const = default;
 };
 
 }  // namespace godwit::link

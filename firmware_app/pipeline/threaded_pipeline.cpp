@@ -275,6 +275,7 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
     events_->say({record.t_capture_ns, detector_stuck_ ? rt::LogLevel::kWarning : rt::LogLevel::kInfo,
                   detector_stuck_ ? "detector hangs" : "detector is back", "", "age of the mask [s]",
                   rt::to_seconds(scheduler_.mask_age_ns(record.t_done_ns)), 0});
+    if (options_.tap != nullptr) options_.tap->detector_hangs(detector_stuck_);
   }
   const auto order = scheduler_.order(record.t_done_ns, record.is_keyframe);
   if (order && jobs_.try_push({handle, order->deadline_ns, order->input_px, record.is_keyframe})) {

@@ -55,6 +55,16 @@ TEST_F(LinkRunnerTest, ATrackerThatHangsIsNamed) {
             link::kPoseStalled | link::kProcessFailed);
 }
 
+TEST_F(LinkRunnerTest, SensorAndDetectorAreNamedAndAreNoErrorOfTheirs) {
+  runner_->imu_silent(true);
+  runner_->detector_hangs(true);
+  for (int i = 0; i < 40; ++i) frame();
+  const auto condition = last_condition();
+  EXPECT_EQ(condition.reasons & (link::kImuFailed | link::kDetectorFailed), link::kImuFailed | link::kDetectorFailed);
+  EXPECT_EQ(condition.reasons & link::kPoseStalled, 0);
+  EXPECT_EQ(condition.health, link::dronecan::NodeHealth::kOk);
+}
+
 TEST_F(LinkRunnerTest, AfterASilenceTheReasonsGo) {
   silence(rt::kNsPerSecond, true);
   for (int i = 0; i < 40; ++i) frame();

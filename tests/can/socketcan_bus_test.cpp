@@ -6,6 +6,8 @@
 #include <unistd.h>
 
 #include "hal/can/can_link.h"
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
 
 namespace godwit::hal {
 namespace {
@@ -126,6 +128,27 @@ TEST_F(AdoptedBus, FullQueueIsNotAnErrorAndLosesNothing) {
   while (recv(peer, &raw, sizeof raw, 0) > 0) ++read;
   EXPECT_EQ(read, sent);
   EXPECT_EQ(bus->send(frame), CanSend::kSent);
+}
+
+TEST_F(AdoptedBus, FramesBothWaysTakeNoHeap) {
+  canfd_frame raw{};
+  raw.can_id = CAN_EFF_FLAG;
+  raw.len = 8;
+  CanFrame frame;
+  frame.length = 8;
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  for (int i = 0; i < 1000; ++i) {
+    kernel_sends(raw, CAN_MTU);
+    {
+      const rt::RtScope scope;
+      ASSERT_TRUE(bus->receive(&frame));
+      ASSERT_EQ(bus->send(frame), CanSend::kSent);
+      bus->maintain(i * rt::kNsPerSecond);
+    }
+    ASSERT_GT(recv(peer, &raw, sizeof raw, 0), 0);
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  EXPECT_EQ(rt::rt_heap_counts().frees, before.frees);
 }
 
 TEST_F(AdoptedBus, PeerGoneMeansBusGone) {

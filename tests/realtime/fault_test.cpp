@@ -53,7 +53,9 @@ class Told final : public FrameTap {
     longest_ns.store(std::max(longest_ns.load(), now_ns - t_last_capture_ns));
   }
   void imu_silent(bool silent) override { imu_told.fetch_add(silent ? 1 : 100); }
-  std::atomic<int> imu_told{0};  ///< each silence 1, each end of one 100
+  void detector_hangs(bool hangs) override { detector_told.fetch_add(hangs ? 1 : 100); }
+  std::atomic<int> imu_told{0};       ///< each silence 1, each end of one 100
+  std::atomic<int> detector_told{0};  ///< each time it hangs 1, each time it is back 100
   std::atomic<int> silences{0};
   std::atomic<rt::TimeNs> longest_ns{0};
 
@@ -135,6 +137,7 @@ TEST(Fault, ADetectorThatHangsIsGivenUpOnAndTrackingGoesOn) {
   EXPECT_EQ(c.scheduler.detector_stuck, 1u);
   EXPECT_TRUE(f.notes.heard("detector hangs"));
   EXPECT_TRUE(f.notes.heard("detector is back"));
+  EXPECT_EQ(f.told.detector_told.load(), 101);
   EXPECT_GT(detector.calls.load(), 5) << "it works again";
   EXPECT_GT(f.tracked(90, 240), 0.9);
   EXPECT_EQ(f.odometry.pool->exhausted(), 0u) << "it holds one slot, not all";
