@@ -3,28 +3,18 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <atomic>
-#include <csignal>
-#include <cstdio>
-#include <exception>
 
 #include "firmware_app/commands/check_command.h"
 #include "firmware_app/commands/doctor_command.h"
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/fly_command.h"
+#include "firmware_app/commands/program.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
 
 namespace {
 
-// Written by the signal handler, read by the pipeline; lock-free, as a handler needs it.
-std::atomic<bool> stop{false};
-static_assert(std::atomic<bool>::is_always_lock_free);
-
-void on_signal(int /*signal*/) {
-  stop.store(true, std::memory_order_relaxed);
-}
-
-int run(int argc, char** argv) {
+int run(int argc, char** argv, const std::atomic<bool>& stop) {
   using namespace godwit::app;
   CLI::App app("Visual navigation without satellites: a camera frame in, a pose out.", "godwit");
   app.set_version_flag("--version", "godwit " GODWIT_VERSION);
@@ -57,14 +47,5 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::signal(SIGINT, on_signal);
-  std::signal(SIGTERM, on_signal);
-  // A file-size limit shall fail the write, which is told, not kill the process.
-  std::signal(SIGXFSZ, SIG_IGN);
-  try {
-    return run(argc, argv);
-  } catch (const std::exception& e) {  // std::bad_alloc, or a library that throws where it should not
-    std::fprintf(stderr, "godwit: %s\n", e.what());
-    return godwit::app::kExitFailed;
-  }
+  return godwit::app::run_program("godwit", run, argc, argv);
 }

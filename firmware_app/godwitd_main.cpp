@@ -3,25 +3,16 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <atomic>
-#include <csignal>
 #include <cstdio>
-#include <exception>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/commands/program.h"
 #include "firmware_app/daemon/config_check.h"
 #include "firmware_app/daemon/daemon.h"
 
 namespace {
 
-// Written by the signal handler, read by the pipeline; lock-free, as a handler needs it.
-std::atomic<bool> stop{false};
-static_assert(std::atomic<bool>::is_always_lock_free);
-
-void on_signal(int /*signal*/) {
-  stop.store(true, std::memory_order_relaxed);
-}
-
-int run(int argc, char** argv) {
+int run(int argc, char** argv, const std::atomic<bool>& stop) {
   using namespace godwit::app;
   CLI::App app("Visual navigation without satellites, as a daemon.", "godwitd");
   app.set_version_flag("--version", "godwitd " GODWIT_VERSION);
@@ -44,12 +35,5 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::signal(SIGINT, on_signal);
-  std::signal(SIGTERM, on_signal);
-  try {
-    return run(argc, argv);
-  } catch (const std::exception& e) {  // std::bad_alloc, or a library that throws where it should not
-    std::fprintf(stderr, "godwitd: %s\n", e.what());
-    return godwit::app::kExitFailed;
-  }
+  return godwit::app::run_program("godwitd", run, argc, argv);
 }

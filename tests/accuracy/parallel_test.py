@@ -6,32 +6,22 @@
 Threads run differently each time, so the median of three runs counts. Exit status 77: the sequence is not there (a failure
 where CI=true).
 """
-import json
-import os
 import pathlib
 import statistics
-import subprocess
 import sys
 import tempfile
+
+from replay_runs import ate_m, find_sequence, replay
 
 
 def main():
     godwit, name = sys.argv[1], sys.argv[2]
-    root = pathlib.Path(__file__).resolve().parents[2]
-    shared = pathlib.Path(os.environ.get("GODWIT_SHARED_DIR", root.parent / "shared"))
-    sequence = shared / "data" / name
-    if not (sequence / "rgb.txt").exists():
-        print(f"skipped: there is no {sequence}")
-        return 1 if os.environ.get("CI") == "true" else 77
+    sequence = find_sequence(name)
 
     def ate(out, *options):
-        subprocess.run([godwit, "replay", str(sequence), "--out", str(out), *options], check=True,
-                       stdout=subprocess.DEVNULL)
-        summary = json.loads((out / "summary.json").read_text())
+        summary = replay(godwit, sequence, out, *options)
         assert summary["tracked_share_after_first_pose"] > 0.99 and summary["maps"] == 1, summary
-        said = subprocess.run([sys.executable, str(root / "scripts" / "evaluate"), str(sequence / "groundtruth.txt"),
-                               str(out), "--json"], check=True, capture_output=True, text=True).stdout
-        return json.loads(said)["ate_m"]
+        return ate_m(sequence, out)
 
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)

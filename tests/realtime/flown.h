@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "firmware_app/pipeline/odometry_stage.h"
@@ -116,12 +117,14 @@ class Notes : public app::FrameSink {
     return {};
   }
   void event(const rt::LogEntry& entry) override { events.push_back(entry); }
-  bool heard(const std::string& what) const {
+  /// The first event of this name; null: there was none.
+  const rt::LogEntry* find(std::string_view what) const {
     for (const rt::LogEntry& e : events) {
-      if (what == e.what) return true;
+      if (what == e.what) return &e;
     }
-    return false;
+    return nullptr;
   }
+  bool heard(std::string_view what) const { return find(what) != nullptr; }
   std::vector<app::FrameRecord> records;
   std::vector<rt::LogEntry> events;
 };

@@ -1,0 +1,13 @@
+// What the programs of godwit have in common around their run: signals and the last catch.
+#pragma once
+
+#include <atomic>
+
+namespace godwit::app {
+
+/// Calls run with a flag that SIGINT and SIGTERM raise, and returns what it returns. An exception that comes out of it
+/// is told on the error stream under the program's name: kExitFailed. Once in a process.
+int run_program(const char* name, int (*run)(int argc, char** argv, const std::atomic<bool>& stop), int argc,
+                char** argv);
+
+}  // namespace godwit::app
