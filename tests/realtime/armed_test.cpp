@@ -1,7 +1,7 @@
-// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks, page faults counted. 1,000
-// frames, or
-//   GODWIT_ARMED_FRAMES=10000 GODWIT_ARMED_FPS=30 [GODWIT_ARMED_LOAD=1] armed_test --gtest_filter=Armed.*
-// which also prints the figures of README.md. LOAD: a program that computes without end on the last processor.
+// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks; page faults and memory watched.
+// One minute; or, as root, with the figures of README.md,
+//   GODWIT_ARMED_FRAMES=10000 [GODWIT_ARMED_LOAD=1] build/release/tests/realtime/armed_test --gtest_filter='Armed.No*'
+// LOAD: a program that computes without end on the last processor. 18000 frames are ten minutes.
 #include <algorithm>
 #include <atomic>
 #include <gmock/gmock.h>
@@ -77,8 +77,8 @@ double percentile(std::vector<double> values, double p) {
 }
 
 TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
-  const int frames = test::from_environment("GODWIT_ARMED_FRAMES", 1000);
-  const int fps = test::from_environment("GODWIT_ARMED_FPS", 60);
+  const int frames = test::from_environment("GODWIT_ARMED_FRAMES", 1800);
+  const int fps = test::from_environment("GODWIT_ARMED_FPS", 30);
   const bool loaded = test::from_environment("GODWIT_ARMED_LOAD", 0) != 0;
   LoopedPictures::Options camera_options;
   camera_options.interval_ns = rt::kNsPerSecond / fps;

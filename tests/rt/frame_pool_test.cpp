@@ -7,6 +7,8 @@
 #include <set>
 #include <thread>
 
+#include "tests/support/stress.h"
+
 namespace godwit::rt {
 namespace {
 
@@ -95,8 +97,8 @@ TEST(FramePool, ACancelledSlotIsFreeAgain) {
 
 // Owner, tracker and mapper as in flight: the tracker passes every third frame on and returns both references of the
 // others; the mapper keeps a few. Nobody may ever see a picture change while holding a reference to it.
-TEST(FramePool, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
-  constexpr std::uint32_t kFrames = 300'000;
+TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
+  const auto kFrames = static_cast<std::uint32_t>(test::stress_items());
   FramePool::Layout l = layout(8, 2);
   l.colour = false;
   const auto pool = std::move(FramePool::create(l)).value();

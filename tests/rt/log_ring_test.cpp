@@ -4,6 +4,8 @@
 #include <memory>
 #include <thread>
 
+#include "tests/support/stress.h"
+
 namespace godwit::rt {
 namespace {
 
@@ -20,13 +22,14 @@ TEST(LogRing, KeepsTheOrderAndCountsWhatItCannotTake) {
   EXPECT_FALSE(ring->take(&entry));
 }
 
-TEST(LogRing, OneThreadSaysAnotherTakes) {
-  constexpr int kEntries = 100'000;
+TEST(LogRingStress, OneThreadSaysAnotherTakes) {
+  const auto kEntries = static_cast<std::int64_t>(test::stress_items());
   const auto ring = std::make_unique<LogRing>();
   std::thread writer([&] {
-    for (int i = 0; i < kEntries; ++i) ring->say({i, LogLevel::kWarning, "step", "", "", static_cast<double>(i), 0});
+    for (std::int64_t i = 0; i < kEntries; ++i)
+      ring->say({i, LogLevel::kWarning, "step", "", "", static_cast<double>(i), 0});
   });
-  int taken = 0;
+  std::int64_t taken = 0;
   TimeNs last = -1;
   bool in_order = true;
   const auto take_all = [&] {
@@ -37,11 +40,11 @@ TEST(LogRing, OneThreadSaysAnotherTakes) {
       last = entry.t_ns;
     }
   };
-  while (taken + static_cast<int>(ring->lost()) < kEntries) take_all();
+  while (taken + static_cast<std::int64_t>(ring->lost()) < kEntries) take_all();
   writer.join();
   take_all();
   EXPECT_TRUE(in_order);
-  EXPECT_EQ(taken + static_cast<int>(ring->lost()), kEntries);
+  EXPECT_EQ(taken + static_cast<std::int64_t>(ring->lost()), kEntries);
 }
 
 }  // namespace

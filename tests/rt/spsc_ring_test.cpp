@@ -51,7 +51,7 @@ struct Wide {
   std::uint64_t word[16];
 };
 
-TEST(SpscRing, MillionItemsBetweenTwoThreadsArriveWholeAndInOrder) {
+TEST(SpscRingStress, ItemsBetweenTwoThreadsArriveWholeAndInOrder) {
   const std::uint64_t kItems = test::stress_items();
   const auto ring = std::make_unique<SpscRing<Wide, 64>>();
   std::thread producer([&] {

@@ -29,7 +29,7 @@ struct Wide {
   std::uint64_t word[16];
 };
 
-TEST(TripleBuffer, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
+TEST(TripleBufferStress, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
   const std::uint64_t kValues = test::stress_items();
   TripleBuffer<Wide> buffer;
   std::thread writer([&] {
