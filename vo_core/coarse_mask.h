@@ -35,6 +35,23 @@ struct CoarseMask {
   }
   void clear() { columns = rows = 0; }
   bool empty() const { return columns == 0; }
+  /// Share of the picture that is masked, 0 to 1.
+  double covered() const {
+    int n = 0;
+    for (int i = 0; i < columns * rows; ++i) n += cell[static_cast<std::size_t>(i)] != 0;
+    return empty() ? 0.0 : static_cast<double>(n) / (columns * rows);
+  }
+  /// Share of the picture that is masked here and free in `later`, the mask of another frame of the same size.
+  double uncovered(const rt::MaskPyramidView& later) const {
+    if (empty() || later.levels <= kLevel) return 0.0;
+    int n = 0;
+    for (int y = 0; y < rows; ++y) {
+      const std::uint8_t* before = cell.data() + static_cast<std::ptrdiff_t>(y) * columns;
+      const std::uint8_t* now = later.level[kLevel].row(y);
+      for (int x = 0; x < columns; ++x) n += before[x] != 0 && now[x] == 0;
+    }
+    return static_cast<double>(n) / (columns * rows);
+  }
   /// Level-0 pixel inside the picture.
   bool masked(const Vec2f& px) const {
     if (empty()) return false;

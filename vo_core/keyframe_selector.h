@@ -16,6 +16,7 @@ struct KeyframeSelectorOptions {
   int low_features = 90;                ///< and so do fewer than this
   double min_distance_on_drop = 0.01;   ///< but not without any motion,
   double min_angle_on_drop_rad = 0.03;  ///< nor without any turn
+  double uncovered_share = 0.08;        ///< of the picture that movers have laid bare since the last keyframe
 };
 
 struct KeyframeFigures {
@@ -27,9 +28,10 @@ struct KeyframeFigures {
   double nearest_angle_rad = 0.0;  ///< turned against that keyframe
   double last_distance = 0.0;      ///< to the last keyframe, over median depth
   double last_angle_rad = 0.0;     ///< turned against the last keyframe
+  double uncovered = 0.0;          ///< share of the picture masked in the last keyframe and free now
 };
 
-enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDropped };
+enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDropped, kUncovered };
 
 inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const KeyframeFigures& f) {
   if (f.frames_since_last < o.min_frames) return KeyframeReason::kNone;
@@ -40,6 +42,8 @@ inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const Ke
   if (dropped && f.frames_since_last >= o.min_frames_on_drop &&
       (f.last_distance > o.min_distance_on_drop || f.last_angle_rad > o.min_angle_on_drop_rad))
     return KeyframeReason::kFeaturesDropped;
+  // What comes into view there soon has to carry the pose, before the movers have covered the rest.
+  if (f.uncovered > o.uncovered_share) return KeyframeReason::kUncovered;
   return KeyframeReason::kNone;
 }
 

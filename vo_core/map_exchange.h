@@ -27,6 +27,7 @@ struct FrameFeature {
   PointHandle point;
   std::int8_t level = 0;
   FeatureType type = FeatureType::kCorner;
+  bool shaded = false;  ///< inside the mask, but plainly seen: for the pose only
 };
 
 /// What a keyframe keeps of a frame's measurement. Tracker and mapper both make their keyframes of this, so that the

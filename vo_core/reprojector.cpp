@@ -49,6 +49,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   result->keyframes = n;
 
   std::fill_n(cell_head_.begin(), columns_ * rows_, kEnd);
+  std::fill_n(shaded_head_.begin(), columns_ * rows_, kEnd);
   candidate_count_ = 0;
   for (int i = 0; i < n; ++i) {
     const Keyframe& kf = map->keyframe(near[i].second);
@@ -67,10 +68,9 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
         continue;
       }
       if (!camera_.in_image(px, 8.0)) continue;
-      if (mask.levels > 0) {
-        const Vec2f m = px.cast<float>();
-        if (mask.level[0].at(static_cast<int>(m.x() + 0.5f), static_cast<int>(m.y() + 0.5f))) continue;
-      }
+      const bool shaded =
+          mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
+      if (shaded && p->observation_count < options_.proven_observations) continue;
       const int cell =
           static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
       Candidate& c = candidates_[candidate_count_];
@@ -79,7 +79,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
       // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
       const int reliability = p->found * 8 / (p->found + 2 * p->missed + 8);
       c.weight = static_cast<std::uint16_t>(p->observation_count * 8 + reliability);
-      std::uint16_t* link = &cell_head_[cell];
+      std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
       while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
       c.next = *link;
       *link = static_cast<std::uint16_t>(candidate_count_++);
@@ -89,7 +89,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
 }
 
 bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
-                            FrameFeature* out) {
+                            float max_residual, FrameFeature* out) {
   const MapPoint& p = *map->find(c.point);
   // The observation whose direction is nearest to the present one.
   const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
@@ -111,12 +111,13 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
                            (keyframe_position_[p.observations[best].keyframe] - p.p_world).norm()};
   const MatchResult m =
       match_direct(camera_, source, T_cam_world * kf.T_kf_world.inverse(), pyramid, c.px, options_.max_level);
-  if (!m.found || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
+  if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
   out->px = m.px;
   out->gradient = m.gradient;
   out->level = static_cast<std::int8_t>(m.level);
   out->type = feature.type;
   out->point = c.point;
+  out->shaded = false;
   return true;
 }
 
@@ -127,25 +128,53 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;
+  run_free(map, pyramid, T_cam_world, limit, &result, out);
+  if (result.matches < options_.scarce_matches) run_shaded(map, pyramid, T_cam_world, limit, &result, out);
+  return result;
+}
+
+void Reprojector::run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                           ReprojectionResult* result, FrameFeature* out) {
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
       std::uint16_t& head = cell_head_[cell_order_[i]];
       while (head != kEnd) {
-        if (result.matches >= limit || result.trials >= options_.max_trials) return result;
+        if (result->matches >= limit || result->trials >= options_.max_trials) return;
         const Candidate& c = candidates_[head];
         head = c.next;
-        ++result.trials;
+        ++result->trials;
         Trial& trial = trials_[trial_count_++];
-        trial = {c.point.index, try_match(map, c, pyramid, T_cam_world, out + result.matches)};
+        trial = {c.point.index, try_match(map, c, pyramid, T_cam_world, 1.0f, out + result->matches)};
         if (trial.found) {
-          ++result.matches;
+          ++result->matches;
           break;
         }
       }
     }
   }
-  return result;
+}
+
+void Reprojector::run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                             ReprojectionResult* result, FrameFeature* out) {
+  // Not found means hidden here: such a trial says nothing about the point, nor about the pose.
+  int trials = result->trials;
+  for (int round = 0; round < 2; ++round) {
+    for (int i = 0; i < columns_ * rows_; ++i) {
+      std::uint16_t& head = shaded_head_[cell_order_[i]];
+      while (head != kEnd) {
+        if (result->matches >= limit || trials >= options_.max_trials) return;
+        const Candidate& c = candidates_[head];
+        head = c.next;
+        ++trials;
+        if (try_match(map, c, pyramid, T_cam_world, options_.shaded_residual, out + result->matches)) {
+          out[result->matches++].shaded = true;
+          ++result->shaded;
+          break;
+        }
+      }
+    }
+  }
 }
 
 void Reprojector::keep_score(Map* map) const {

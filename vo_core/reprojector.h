@@ -19,14 +19,20 @@ struct ReprojectorOptions {
   int max_trials = 360;  ///< at most 512
   int max_keyframes = 12;
   int max_level = 3;
+  /// Fewer matches outside the mask than this: points inside it are looked for as well, if older frames have proved
+  /// them. A box holds much that does not move, and the picture itself shows whether the point is hidden.
+  int scarce_matches = 100;
+  int proven_observations = 3;
+  float shaded_residual = 0.5f;  ///< greatest residual over contrast of a match inside the mask
   RollingShutter shutter;
 };
 
 struct ReprojectionResult {
   int keyframes = 0;   ///< overlapping keyframes whose points were projected
   int candidates = 0;  ///< points that fall into the picture
-  int trials = 0;
+  int trials = 0;      ///< of points outside the mask
   int matches = 0;
+  int shaded = 0;  ///< of them inside the mask
 };
 
 /// Fixed buffers; run() does not allocate and tries at most max_trials alignments.
@@ -58,8 +64,12 @@ class Reprojector {
 
   void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
                std::uint32_t mark, ReprojectionResult* result);
+  void run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit, ReprojectionResult* result,
+                FrameFeature* out);
+  void run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                  ReprojectionResult* result, FrameFeature* out);
   bool try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
-                 FrameFeature* out);
+                 float max_residual, FrameFeature* out);
 
   const CameraModel& camera_;
   ReprojectorOptions options_;
@@ -72,7 +82,7 @@ class Reprojector {
   int trial_count_ = 0;
   std::array<Trial, kMaxTrials> trials_;
   std::array<Candidate, kMaxCandidates> candidates_;
-  std::array<std::uint16_t, kMaxCells> cell_head_;
+  std::array<std::uint16_t, kMaxCells> cell_head_, shaded_head_;  ///< lists of candidates outside and inside the mask
   std::array<std::uint16_t, kMaxCells> cell_order_;
   std::array<Vec3, kMaxKeyframes> keyframe_position_;
 };

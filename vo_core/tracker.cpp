@@ -23,6 +23,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
       align_(std::make_unique<SparseImageAlign>(camera_, options.align)),
       reprojector_(std::make_unique<Reprojector>(camera_, with_shutter(options.reprojector, options.shutter))),
       relocaliser_(std::make_unique<Relocaliser>(camera_, options.relocaliser)),
+      gate_(camera.width(), camera.height(), options.gate),
       health_(options.health) {}
 Tracker::~Tracker() = default;
 
@@ -107,6 +108,7 @@ bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, 
       reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, ++reprojection_mark_,
                         std::max(wanted, 2 * options_.health.min_measurements), found.data());
   result->matches = r.matches;
+  result->shaded = r.shaded;
   result->trials = r.trials;
   result->candidates = r.candidates;
   rt::TimeNs t1 = now();
@@ -119,11 +121,21 @@ bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, 
     m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
-    m.sigma_px = static_cast<double>(1 << found[i].level);
+    m.sigma_px = static_cast<double>(1 << found[i].level) * (found[i].shaded ? options_.shaded_sigma : 1.0);
   }
   match_count_ = r.matches;
-  const PoseOptimizerResult p =
+  PoseOptimizerResult p =
       optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches), &frame->T_cam_world);
+  rejected_count_ = 0;
+  if (options_.gate.on && p.ok) {
+    const auto all = static_cast<std::size_t>(r.matches);
+    const int left = gate_.run({found.data(), all}, {measurements_.data(), all});
+    if (left < r.matches) {
+      match_count_ = result->matches = left;
+      rejected_count_ = r.matches - left;
+      p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world);
+    }
+  }
   result->times.pose += now() - t1;
   result->measurements = p.ok ? p.inliers : 0;
   result->rms_px = p.rms_px;
@@ -138,15 +150,21 @@ bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
 
 void Tracker::adopt_features() {
   reprojector_->keep_score(map_.get());
-  feature_count_ = 0;
+  feature_count_ = map_feature_count_ = 0;
   for (int i = 0; i < match_count_; ++i) {
     if (measurements_[i].inlier) {
       features_[feature_count_++] = features_scratch_[i];
-    } else {
+      // Those inside the mask come last.
+      if (!features_scratch_[i].shaded) map_feature_count_ = feature_count_;
+    } else if (!features_scratch_[i].shaded) {
       MapPoint& point = map_->point(features_scratch_[i].point.index);
       if (point.found > 0) --point.found;
       if (point.missed < 0xffff) ++point.missed;
     }
+  }
+  for (int i = match_count_; i < match_count_ + rejected_count_; ++i) {
+    MapPoint& point = map_->point(features_scratch_[i].point.index);
+    point.missed = static_cast<std::uint16_t>(std::min(point.missed + options_.gate.strikes, 0xffff));
   }
 }
 
@@ -161,6 +179,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   f.features = result->measurements;
   f.last_keyframe_features = last_keyframe_features_;
   f.nearest_distance = 1e9;
+  f.uncovered = keyframe_mask_.uncovered(frame->mask);
   const Vec3 position = -(frame->T_cam_world.R.transpose() * frame->T_cam_world.t);
   for (int k = 0; k < kMaxKeyframes; ++k) {
     const Keyframe& kf = map_->keyframe(k);
@@ -189,6 +208,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
       last_keyframe_id_ = id;
       frames_since_keyframe_ = 0;
       last_keyframe_features_ = result->measurements;
+      keyframe_mask_.assign(frame->mask);
       result->is_keyframe = true;
     }
   }
@@ -295,6 +315,11 @@ FrameResult Tracker::track(const FrameInput& in) {
     result.reason = reason.text;
     result.reason_value = reason.value;
     result.reason_limit = reason.limit;
+  }
+  if (result.tracked && 2 * result.shaded > result.matches) {
+    result.reason = "tracking, mostly by proved points inside the mask";
+    result.reason_value = result.shaded;
+    result.reason_limit = result.matches;
   }
   if (health_.give_up()) begin_map();
   result.map_id = result.state == State::kInitialising || result.state == State::kLost ? 0 : map_id_;

@@ -13,6 +13,7 @@
 #include "vo_core/initializer.h"
 #include "vo_core/keyframe_selector.h"
 #include "vo_core/map_channel.h"
+#include "vo_core/motion_gate.h"
 #include "vo_core/pose_optimizer.h"
 #include "vo_core/relocaliser.h"
 #include "vo_core/reprojector.h"
@@ -46,6 +47,7 @@ struct FrameResult {
   std::uint32_t map_id = 0;        ///< counts from 1; 0 when there is no map
   int measurements = 0;            ///< inliers of the pose optimisation
   int matches = 0;                 ///< aligned points
+  int shaded = 0;                  ///< of them inside the mask
   int trials = 0;                  ///< alignments tried
   int candidates = 0;              ///< map points projected into the picture
   SE3 T_world_cam;                 ///< valid when tracked
@@ -71,9 +73,11 @@ struct TrackerOptions {
   RollingShutter shutter;
   RelocaliserOptions relocaliser;
   HealthOptions health;
+  MotionGateOptions gate;
   /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
   /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
   double min_found_share = 0.10;
+  double shaded_sigma = 1.5;  ///< noise of a measurement inside the mask, of that of one outside
   /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose must be
   /// promising, and a following frame tracked from it convincing, before it counts.
   rt::TimeNs direct_gap_ns = 150 * rt::kNsPerMs;
@@ -153,6 +157,7 @@ class Tracker {
   std::unique_ptr<SparseImageAlign> align_;
   std::unique_ptr<Reprojector> reprojector_;
   std::unique_ptr<Relocaliser> relocaliser_;
+  const MotionGate gate_;
   Health health_;
 
   std::uint32_t epoch_ = 0;
@@ -172,13 +177,16 @@ class Tracker {
   bool have_picture_hash_ = false;
   std::array<FrameFeature, kMaxFrameFeatures> features_, features_scratch_;
   int feature_count_ = 0;
-  int match_count_ = 0;  ///< of the last measure(), in features_scratch_ and measurements_
+  int map_feature_count_ = 0;  ///< the first so many of them lie outside the mask: what a keyframe may keep
+  int match_count_ = 0;        ///< of the last measure(), in features_scratch_ and measurements_
+  int rejected_count_ = 0;     ///< behind them: what the gate took out
   std::array<PoseMeasurement, kMaxFrameFeatures> measurements_;
   std::array<AlignPoint, kMaxFrameFeatures> align_points_;
 
   std::uint32_t last_keyframe_id_ = 0;
   int frames_since_keyframe_ = 0;
   int last_keyframe_features_ = 0;
+  CoarseMask keyframe_mask_;  ///< dynamic pixels of the last keyframe
   double median_depth_ = 1.0, min_depth_ = 0.3;
 
   std::array<SlotRelease, 2 * kMaxKeyframes + 8> releases_;

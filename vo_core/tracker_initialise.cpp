@@ -86,7 +86,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   first_.T_cam_world = SE3();
   current.T_cam_world = initializer_.T_cur_ref();
   median_depth_ = 1.0;
-  feature_count_ = n;
+  feature_count_ = map_feature_count_ = n;
   for (int i = 0; i < n; ++i) {
     // Evenly out of all, whatever their order.
     const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
@@ -110,6 +110,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   last_keyframe_id_ = 2;
   frames_since_keyframe_ = 0;
   last_keyframe_features_ = n;
+  keyframe_mask_.assign(current.mask);
   retire(&first_);
   last_ = current;
   last_.mask = {};

@@ -115,7 +115,7 @@ int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   kf.T_kf_world = frame.T_cam_world;
   kf.velocity = frame.velocity;
   kf.median_depth = median_depth_;
-  for (int i = 0; i < feature_count_; ++i) map_->append_feature(place, keyframe_feature(camera_, features_[i]));
+  for (int i = 0; i < map_feature_count_; ++i) map_->append_feature(place, keyframe_feature(camera_, features_[i]));
   return place;
 }
 
@@ -144,10 +144,10 @@ bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, in
   m->feature_count = 0;
   m->weak_count = 0;
   if (kind == MessageKind::kKeyframe) {
-    m->feature_count = feature_count_;
-    std::copy_n(features_.begin(), feature_count_, m->features.begin());
+    m->feature_count = map_feature_count_;
+    std::copy_n(features_.begin(), map_feature_count_, m->features.begin());
     if (m->initial)
-      for (int i = 0; i < feature_count_; ++i)
+      for (int i = 0; i < map_feature_count_; ++i)
         m->initial_points[i] = map_->point(features_[i].point.index).p_world.cast<float>();
     // Points that are hardly ever found where they should be.
     for (int i = 0; i < map_->point_end() && m->weak_count < static_cast<int>(m->weak.size()); ++i) {

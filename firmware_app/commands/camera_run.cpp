@@ -8,6 +8,7 @@
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
+#include "firmware_app/output/view_writer.h"
 #include "firmware_app/pipeline/arming.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/pipeline.h"
@@ -115,6 +116,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
 
   OdometryOptions odometry = odometry_options(calibration);
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
+  odometry.gate = plan.gate;
   std::unique_ptr<DynamicMasks> dynamic;
   if (plan.detector) {
     DynamicMasksOptions options;
@@ -129,7 +131,13 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     if (!dynamic->warning().empty()) fmt::print(stderr, "godwit: warning: {}\n", dynamic->warning());
   }
   MaskSource* const masks = plan.masks != nullptr ? plan.masks : dynamic.get();
-  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), masks);
+  std::optional<ViewWriter> view;
+  if (!plan.view.empty()) {
+    auto opened = ViewWriter::open(plan.view, plan.view_every);
+    if (!opened) return refuse("--view: " + opened.error().message);
+    view.emplace(std::move(opened).value());
+  }
+  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), masks, view ? &*view : nullptr);
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
@@ -172,6 +180,10 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   auto finished = writer.finish(description);
   if (!finished) return failed(finished.error().message);
   tell(writer, plan.out);
+  if (view) {
+    if (!view->error().empty()) return failed("--view: " + view->error());
+    fmt::print("{} pictures of what was seen in {}\n", view->written(), plan.view);
+  }
   if (autopilot != nullptr) {
     for (const std::string& line : link_report(autopilot->finish())) fmt::print("link: {}\n", line);
   }

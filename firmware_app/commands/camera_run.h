@@ -26,6 +26,9 @@ struct CameraRunPlan {
   hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
   bool detector = false;        ///< find what may move by a network
   std::string model;            ///< its file; empty: the one that comes with godwit
+  bool gate = false;            ///< find what moves by geometry
+  std::string view;             ///< folder for pictures of what was seen; empty: none
+  std::int64_t view_every = 30;
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

@@ -76,6 +76,9 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.total = camera.left();
   plan.masks = camera.masks();
   plan.imu = imu.get();
+  plan.gate = a.run.gate == "on";
+  plan.view = a.run.view;
+  plan.view_every = a.run.view_every;
   plan.detector = a.run.detector == "on";
   plan.model = a.run.model;
   if (plan.masks != nullptr && plan.detector)

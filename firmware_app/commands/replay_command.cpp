@@ -20,7 +20,6 @@ namespace {
 
 /// What this version cannot do is refused, not ignored: a result without it would pass for one with it.
 std::string missing_part(const ReplayArguments& a) {
-  if (a.gate == "on") return "--gate on: this version has no gate against moving things yet; leave it off";
   if (a.imu == "on") return "--imu on: this version does not use an IMU yet; --imu watch reads it beside the camera";
   if (!a.model.empty() && a.detector != "on") return "--model: is for the detector; add --detector on";
   return {};
@@ -83,6 +82,15 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
   command->add_option("--model", a->model, "The detector's network")->type_name("FILE");
+  command
+      ->add_option("--view", a->view,
+                   "Folder for pictures of what was seen: the picture, its dynamic pixels, and the features behind the "
+                   "pose (corners green, edgelets yellow, inside the mask blue)")
+      ->type_name("DIR");
+  command->add_option("--view-every", a->view_every, "A picture for every N-th frame")
+      ->type_name("N")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
   add_link_options(command, &a->can, &a->mavlink);
   command->add_flag("--bench-metric", a->bench_metric,
                     "The map's lengths pass for metres and its start for level, so that the autopilot takes the poses "
@@ -127,6 +135,10 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
   }
   if (a.sequential && a.pace == "real") {
     refuse("--sequential has no pace: leave --pace real out");
+    return false;
+  }
+  if (!a.view.empty() && a.pace == "real") {
+    refuse("--view: writing pictures takes time that the tracker has not at real pace; leave --pace real out");
     return false;
   }
   if (!a.config_file.empty()) {
@@ -180,6 +192,9 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.imu = imu.get();
   plan.detector = a.detector == "on";
   plan.model = a.model;
+  plan.gate = a.gate == "on";
+  plan.view = a.view;
+  plan.view_every = a.view_every;
   return run_camera(camera.value().get(), calibration, config, plan, stop);
 }
 

@@ -21,6 +21,8 @@ struct ReplayArguments {
   std::int64_t loop = 1;    ///< passes, forth and back in turn; replay only
   std::string detector = "off", gate = "off", imu = "off";
   std::string model;
+  std::string view;  ///< empty: no pictures
+  std::int64_t view_every = 30;
   std::string can, mavlink;  ///< empty: as configured
   bool bench_metric = false;
 };

@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "firmware_app/pipeline/frame_view.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "firmware_app/pipeline/stage.h"
 #include "hal/camera/calibration.h"
@@ -18,6 +19,7 @@ struct OdometryOptions {
   /// Rolling shutter: time from the first row to the last [frame intervals].
   double readout_frames = 0;
   double readout_s = 0;  ///< the same in seconds
+  bool gate = false;     ///< find what moves by geometry (vo_core/motion_gate.h) and leave it out
 };
 
 /// What the odometry must know of this camera beside its model: the rolling shutter.
@@ -36,8 +38,9 @@ int odometry_frame_slots();
 int odometry_frame_slots_min();
 
 /// All memory is taken here. The pool outlives the stage, and so does `masks`, which is asked for each frame's dynamic
-/// pixels; null: nothing is masked.
+/// pixels; null: nothing is masked. `view` (may be null) is shown every frame.
 std::unique_ptr<FrameStage> make_odometry_stage(const vo::CameraModel& camera, const OdometryOptions& options,
-                                                rt::FramePool* pool, MaskSource* masks = nullptr);
+                                                rt::FramePool* pool, MaskSource* masks = nullptr,
+                                                FrameView* view = nullptr);
 
 }  // namespace godwit::app

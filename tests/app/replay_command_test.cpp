@@ -60,7 +60,7 @@ TEST(Tool, TellsItsVersionAndHelp) {
   const Outcome replay_help = godwit("replay --help");
   EXPECT_EQ(replay_help.exit_code, 0);
   for (const char* option : {"SEQUENCE", "--config", "--out", "--pace", "--sequential", "--start", "--frames",
-                             "--detector", "--gate", "--imu", "--model"}) {
+                             "--detector", "--gate", "--imu", "--model", "--view", "--view-every"}) {
     EXPECT_THAT(replay_help.text, HasSubstr(option));
   }
 }
@@ -118,13 +118,33 @@ TEST_F(Replay, StartAndFramesChooseAPart) {
 }
 
 TEST_F(Replay, WhatDoesNotExistYetIsRefusedInWords) {
-  for (const char* option : {"--gate on", "--imu on"}) {
+  for (const char* option : {"--imu on"}) {
     const Outcome outcome = replay(option);
     EXPECT_EQ(outcome.exit_code, 2) << option;
     EXPECT_THAT(outcome.text, AllOf(HasSubstr(std::string(option).substr(0, 6)), HasSubstr("yet")));
     EXPECT_FALSE(fs::exists(out()));
   }
   EXPECT_EQ(replay("--detector off --gate off --imu off --sequential").exit_code, 0);
+}
+
+TEST_F(Replay, TheGateFliesAlongWithAndWithoutTheDetector) {
+  EXPECT_EQ(replay("--gate on --sequential").exit_code, 0);
+  EXPECT_EQ(replay("--gate on --detector on").exit_code, 0);
+}
+
+TEST_F(Replay, ViewWritesAPictureForEveryNthFrame) {
+  const std::string view = folder_ / "view";
+  const Outcome outcome = replay("--sequential --view '" + view + "' --view-every 5");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.text;
+  EXPECT_THAT(outcome.text, HasSubstr("3 pictures of what was seen in " + view));
+  for (const char* name : {"/000000.png", "/000005.png", "/000010.png"}) EXPECT_TRUE(fs::exists(view + name)) << name;
+  const Outcome real = replay("--pace real --view '" + view + "'");
+  EXPECT_EQ(real.exit_code, 2);
+  EXPECT_THAT(real.text, HasSubstr("leave --pace real out"));
+  write_file(folder_ / "file", "");
+  const Outcome nowhere = replay("--view '" + std::string(folder_ / "file") + "/view'");
+  EXPECT_EQ(nowhere.exit_code, 2);
+  EXPECT_THAT(nowhere.text, HasSubstr("--view: "));
 }
 
 TEST_F(Replay, TheDetectorFliesAlongAndItsModelIsChecked) {

@@ -26,6 +26,26 @@ TEST(CoarseMask, IsLevelThreeOfTheMaskPyramid) {
   EXPECT_TRUE(copy->masked(Vec2f(60.0f, 44.0f)));
 }
 
+TEST(CoarseMask, TellsHowMuchIsCoveredAndWhatWasLaidBare) {
+  std::vector<std::uint8_t> before(40 * 30, 0), now(40 * 30, 0);
+  for (std::size_t x = 0; x < 20; ++x)
+    for (std::size_t y = 0; y < 30; ++y) before[y * 40 + x] = 255;  // the left half
+  for (std::size_t x = 10; x < 30; ++x)
+    for (std::size_t y = 0; y < 30; ++y) now[y * 40 + x] = 255;  // moved on by a quarter
+  rt::MaskPyramidView mask, later;
+  mask.levels = later.levels = rt::kPyramidLevels;
+  mask.level[CoarseMask::kLevel] = {before.data(), 40, 30, 40};
+  later.level[CoarseMask::kLevel] = {now.data(), 40, 30, 40};
+  const auto coarse = std::make_unique<CoarseMask>();
+  EXPECT_EQ(coarse->covered(), 0.0);
+  EXPECT_EQ(coarse->uncovered(later), 0.0) << "nothing was covered";
+  coarse->assign(mask);
+  EXPECT_DOUBLE_EQ(coarse->covered(), 0.5);
+  EXPECT_DOUBLE_EQ(coarse->uncovered(later), 0.25);
+  EXPECT_EQ(coarse->uncovered(mask), 0.0);
+  EXPECT_EQ(coarse->uncovered(rt::MaskPyramidView{}), 0.0) << "without a mask nothing is known";
+}
+
 TEST(CoarseMask, NoMaskMasksNothing) {
   const auto coarse = std::make_unique<CoarseMask>();
   coarse->assign(rt::MaskPyramidView{});

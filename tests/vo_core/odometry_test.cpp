@@ -63,7 +63,7 @@ struct Flown {
   int slots_out = 0;
 };
 
-Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {}) {
+Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {}, std::size_t masked_from = 0) {
   const CameraModel camera = small_camera();
   TrackerOptions options;
   options.delta_delay_frames = 2;
@@ -98,7 +98,7 @@ Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mas
     in.grey = {data, 320, 240, stride};
     in.pyramid_storage = data + base;
     in.pyramid_bytes = extra;
-    in.mask = mask;
+    if (i >= masked_from) in.mask = mask;
     in.slot = slot;
     in.sequence = static_cast<std::uint32_t>(i);
     in.t_capture_ns = static_cast<rt::TimeNs>(i) * 33'333'333;
@@ -253,13 +253,36 @@ TEST(Odometry, ACameraTurnedAwayAndBackIsRightWhereItSaysTracked) {
   EXPECT_EQ(run.frames.back().map_id, run.frames[40].map_id);
 }
 
-TEST(Odometry, AMaskOverEverythingMeansNoPose) {
-  std::vector<std::uint8_t> ones(320 * 240, 255);
+rt::MaskPyramidView mask_over_everything() {
+  static const std::vector<std::uint8_t> ones(320 * 240, 255);
   rt::MaskPyramidView mask;
   mask.levels = rt::kPyramidLevels;
   for (int l = 0; l < mask.levels; ++l)
     mask.level[static_cast<std::size_t>(l)] = {ones.data(), 320 >> l, 240 >> l, 320};
-  for (const FrameResult& r : run_odometry(forward(30), mask).frames) EXPECT_FALSE(r.tracked);
+  return mask;
+}
+
+TEST(Odometry, AMaskOverEverythingMeansNoMap) {
+  for (const FrameResult& r : run_odometry(forward(30), mask_over_everything()).frames) EXPECT_FALSE(r.tracked);
+}
+
+TEST(Odometry, AMaskOverEverythingLeavesTheProvedPointsAndSaysSo) {
+  constexpr std::size_t kMasked = 40;
+  const Flown run = run_odometry(forward(55), mask_over_everything(), kMasked);
+  const Flown free = run_odometry(forward(55));
+  ASSERT_TRUE(run.frames[kMasked - 1].tracked);
+  int tracked = 0;
+  for (std::size_t i = kMasked; i < run.frames.size(); ++i) {
+    const FrameResult& r = run.frames[i];
+    EXPECT_FALSE(r.is_keyframe && r.map_moved) << "nothing of it enters the map";
+    if (!r.tracked) continue;
+    ++tracked;
+    EXPECT_STREQ(r.reason, "tracking, mostly by proved points inside the mask");
+    EXPECT_EQ(r.shaded, r.matches);
+    EXPECT_LT((r.T_world_cam.t - free.frames[i].T_world_cam.t).norm(), 0.02);
+    EXPECT_GT(r.covariance.trace(), free.frames[i].covariance.trace()) << "and it is less sure";
+  }
+  EXPECT_GE(tracked, 10);
 }
 
 }  // namespace

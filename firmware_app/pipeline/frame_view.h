@@ -1,0 +1,22 @@
+// A look at what the tracker saw of a frame: for pictures of a replay, never for flight.
+#pragma once
+
+#include <span>
+
+#include "hal/rt/frame_pool.h"
+#include "hal/rt/image.h"
+#include "vo_core/map_exchange.h"
+
+namespace godwit::app {
+
+/// Called by the tracker's thread at the end of each frame, and may take its time: only where nobody waits for poses.
+class FrameView {
+ public:
+  virtual ~FrameView() = default;
+  /// `mask`: the frame's dynamic pixels, levels == 0 where there are none. `features`: the measurements behind its
+  /// pose; empty without one. All valid during the call only.
+  virtual void look(const rt::FrameMeta& frame, const rt::ImageView& grey, const rt::MaskPyramidView& mask,
+                    std::span<const vo::FrameFeature> features) = 0;
+};
+
+}  // namespace godwit::app
