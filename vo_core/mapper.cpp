@@ -57,8 +57,9 @@ bool Mapper::step() {
   delta_->clear();
   // Points of uncertain depth are better than none: with little motion the depth matters little for the pose, and the
   // bundle adjustment makes it certain later.
-  hunger_ =
-      std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, m->mask.covered(), 1.0);
+  hunger_ = std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
+  // Where movers cover much of the picture, they are about to cover what carries the pose now.
+  if (const double covered = m->mask.covered(); covered > options_.crowded) hunger_ = std::max(hunger_, covered);
   sigma_limit_ = options_.converged_sigma + hunger_ * (options_.starving_sigma - options_.converged_sigma);
   report_ = {};
   report_.kind = m->kind;
