@@ -1,13 +1,10 @@
 #include "firmware_app/config.h"
 
 #include <algorithm>
-#include <cerrno>
-#include <cstdio>
-#include <cstring>
-#include <memory>
 #include <toml++/toml.h>
 
 #include "firmware_app/config_schema.h"
+#include "hal/record_file.h"
 
 namespace godwit::app {
 namespace {
@@ -124,19 +121,12 @@ ConfigReport parse_config(std::string_view text, const std::string& name) {
 }
 
 ConfigReport load_config(const std::string& file) {
-  const auto close = [](std::FILE* f) { std::fclose(f); };
-  const std::unique_ptr<std::FILE, decltype(close)> in(std::fopen(file.c_str(), "rb"), close);
+  const auto text = hal::read_text_file(file);
+  if (text) return parse_config(text.value(), file);
   ConfigReport report;
   report.file = file;
-  std::string text;
-  char block[4096];
-  std::size_t n = 0;
-  while (in != nullptr && (n = std::fread(block, 1, sizeof(block), in.get())) > 0) text.append(block, n);
-  if (in == nullptr || std::ferror(in.get()) != 0) {
-    report.mistakes.push_back(file + ": " + std::strerror(errno));
-    return report;
-  }
-  return parse_config(text, file);
+  report.mistakes.push_back(text.error().message);
+  return report;
 }
 
 std::vector<std::string> show_config(const Config& config) {

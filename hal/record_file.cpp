@@ -5,13 +5,18 @@
 #include <charconv>
 #include <cstdio>
 #include <cstring>
+#include <fcntl.h>
 #include <memory>
+#include <sys/stat.h>
+#include <unistd.h>
 
 namespace godwit::hal {
 namespace {
 
 /// Year 2255. Beyond it a rebased time could leave 64 bits.
 constexpr rt::TimeNs kLatestNs = 9'000'000'000 * rt::kNsPerSecond;
+/// More is no picture, list or configuration.
+constexpr off_t kLargestFile = off_t{1} << 30;
 constexpr std::string_view kBlanks = " \t\r\v\f";
 
 std::string_view trim(std::string_view s) {
@@ -27,9 +32,21 @@ bool all_digits(std::string_view s) {
 }  // namespace
 
 rt::Result<std::vector<std::uint8_t>> read_whole_file(const std::string& file) {
+  // Without waiting: a FIFO without a writer would hold the program for ever, and a device has no end.
+  const int fd = ::open(file.c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+  if (fd < 0) return rt::Error{file + ": " + std::strerror(errno)};
   const auto close = [](std::FILE* f) { std::fclose(f); };
-  const std::unique_ptr<std::FILE, decltype(close)> in(std::fopen(file.c_str(), "rb"), close);
-  if (in == nullptr) return rt::Error{file + ": " + std::strerror(errno)};
+  const std::unique_ptr<std::FILE, decltype(close)> in(::fdopen(fd, "rb"), close);
+  if (in == nullptr) {
+    const std::string why = std::strerror(errno);
+    ::close(fd);
+    return rt::Error{file + ": " + why};
+  }
+  struct stat about {};
+  if (::fstat(fd, &about) != 0) return rt::Error{file + ": " + std::strerror(errno)};
+  if (S_ISDIR(about.st_mode)) return rt::Error{file + ": " + std::strerror(EISDIR)};
+  if (!S_ISREG(about.st_mode)) return rt::Error{file + ": not a regular file"};
+  if (about.st_size > kLargestFile) return rt::Error{file + ": larger than a gigabyte"};
   std::vector<std::uint8_t> bytes;
   std::array<std::uint8_t, 65536> block{};
   while (true) {

@@ -39,7 +39,9 @@ State Health::step(const FrameEvidence& e) {
       without_pose(e, {"found in the map, to be confirmed", e.measurements, options_.min_measurements});
       break;
     case FrameEvidence::Kind::kNoPose:
-      without_pose(e, {"too few features", e.measurements, options_.min_measurements});
+      without_pose(e, e.refusal.text[0] != '\0'
+                          ? e.refusal
+                          : Reason{"too few features", e.measurements, options_.min_measurements});
       break;
     case FrameEvidence::Kind::kSamePicture:
       if (state_ == State::kInitialising || state_ == State::kLost) {

@@ -41,6 +41,7 @@ struct FrameEvidence {
   int measurements = 0;
   bool inertial_pose = false;  ///< a pose from inertial measurements is at hand
   rt::TimeNs t_capture_ns = 0;
+  Reason refusal{};  ///< kNoPose: what the pose failed by; without text: measurements were too few
 };
 
 /// One for each tracker. No allocation.

@@ -133,6 +133,8 @@ bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, 
     if (left < r.matches) {
       match_count_ = result->matches = left;
       rejected_count_ = r.matches - left;
+      result->shaded = static_cast<int>(
+          std::count_if(found.begin(), found.begin() + left, [](const FrameFeature& f) { return f.shaded; }));
       p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world);
     }
   }
@@ -140,12 +142,32 @@ bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, 
   result->measurements = p.ok ? p.inliers : 0;
   result->rms_px = p.rms_px;
   result->covariance = p.covariance;
-  return result->measurements >= min_measurements && result->measurements >= options_.min_found_share * r.trials;
+  refusal_ = {};
+  if (result->measurements < min_measurements) return false;
+  return enough_found(options_.min_found_share, *result);
+}
+
+bool Tracker::enough_found(double share, const FrameResult& r) {
+  if (r.measurements >= share * r.trials) return true;
+  refusal_ = {"too few of the alignments hold [%]", 100 * r.measurements / r.trials, static_cast<int>(100.0 * share)};
+  return false;
 }
 
 bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
-  return r.measurements >= gate.measurements && r.measurements >= gate.inlier_share * r.matches &&
-         r.measurements >= gate.found_share * r.trials && r.rms_px <= gate.rms_px;
+  if (r.measurements < gate.measurements) {
+    refusal_ = {"too few features to be sure", r.measurements, gate.measurements};
+    return false;
+  }
+  if (r.measurements < gate.inlier_share * r.matches) {
+    refusal_ = {"too many outliers, inliers are [%]", 100 * r.measurements / r.matches,
+                static_cast<int>(100.0 * gate.inlier_share)};
+    return false;
+  }
+  if (!enough_found(gate.found_share, r)) return false;
+  if (r.rms_px <= gate.rms_px) return true;
+  refusal_ = {"the measurements disagree [0.1 px]", static_cast<int>(10.0 * r.rms_px),
+              static_cast<int>(10.0 * gate.rms_px)};
+  return false;
 }
 
 void Tracker::adopt_features() {
@@ -163,6 +185,8 @@ void Tracker::adopt_features() {
     }
   }
   for (int i = match_count_; i < match_count_ + rejected_count_; ++i) {
+    // Inside the mask a point is hidden rather than moving.
+    if (features_scratch_[i].shaded) continue;
     MapPoint& point = map_->point(features_scratch_[i].point.index);
     point.missed = static_cast<std::uint16_t>(std::min(point.missed + options_.gate.strikes, 0xffff));
   }
@@ -308,6 +332,7 @@ FrameResult Tracker::track(const FrameInput& in) {
     }
   }
   evidence.measurements = result.measurements;
+  evidence.refusal = refusal_;
   result.state = health_.step(evidence);
   // An initialisation that failed has told why itself.
   if (evidence.kind != FrameEvidence::Kind::kNoMap) {

@@ -135,7 +135,9 @@ class Tracker {
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
   bool align_with_keyframe(Frame* frame, FrameResult* result);
   bool measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result);
-  static bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
+  // These two say in refusal_ what they refuse for.
+  bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
+  bool enough_found(double share, const FrameResult& r);
   bool find_by_keyframe(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
   void take_pose(bool proved, Frame* frame, FrameResult* result);
@@ -171,6 +173,7 @@ class Tracker {
   Frame last_;                  ///< last frame with a pose
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
+  Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;
   std::uint64_t picture_hash_ = 0;

@@ -8,6 +8,7 @@
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/commands/whole_number.h"
 #include "firmware_app/config.h"
 #include "firmware_app/link/byte_port.h"
 #include "firmware_app/link_settings.h"
@@ -40,7 +41,7 @@ void add_replay_command(CLI::App* app, ReplayArguments* a) {
                    "Fly the sequence N times, forth and back in turn, with times that go on: a long flight without a "
                    "jump (a rolling shutter's readout is right on the way forth only)")
       ->type_name("N")
-      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000}))
+      ->check(whole_number(1, 1'000'000))
       ->capture_default_str();
   add_run_options(replay, a);
   replay->footer(
@@ -66,19 +67,21 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
                     "All stages in one thread in a fixed order: two runs are equal to the bit");
   command->add_option("--start", a->start, "Leave out the first N pictures")
       ->type_name("N")
-      ->check(CLI::NonNegativeNumber)
+      ->check(whole_number(0, kManyPictures))
       ->capture_default_str();
   command->add_option("--frames", a->frames, "Stop after N pictures (default: all)")
       ->type_name("N")
-      ->check(CLI::PositiveNumber);
+      ->check(whole_number(1, kManyPictures));
   const auto on_off = [&](const char* name, std::string* value, const char* what) {
     command->add_option(name, *value, what)->check(CLI::IsMember({"on", "off"}))->capture_default_str();
   };
   on_off("--detector", &a->detector, "Find what may move by a network and leave it out");
   on_off("--gate", &a->gate, "Find what moves by geometry and leave it out");
   command
-      ->add_option("--imu", a->imu,
-                   "watch: read the IMU beside the camera and tell when it is silent; on: use it for the pose")
+      ->add_option(
+          "--imu", a->imu,
+          "watch: read the IMU beside the camera and, but for --sequential, tell when it is silent; on: refused, the "
+          "pose does not use it yet")
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
   command->add_option("--model", a->model, "The detector's network")->type_name("FILE");
@@ -89,7 +92,7 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->type_name("DIR");
   command->add_option("--view-every", a->view_every, "A picture for every N-th frame")
       ->type_name("N")
-      ->check(CLI::PositiveNumber)
+      ->check(whole_number(1, kManyPictures))
       ->capture_default_str();
   add_link_options(command, &a->can, &a->mavlink);
   command->add_flag("--bench-metric", a->bench_metric,
@@ -135,6 +138,10 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
   }
   if (a.sequential && a.pace == "real") {
     refuse("--sequential has no pace: leave --pace real out");
+    return false;
+  }
+  if (a.out.empty()) {
+    refuse("--out: a folder is needed");
     return false;
   }
   if (!a.view.empty() && a.pace == "real") {

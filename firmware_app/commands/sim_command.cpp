@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/exit_code.h"
+#include "firmware_app/commands/whole_number.h"
 #include "firmware_app/output/flight_writer.h"
 
 namespace godwit::app {
@@ -29,6 +30,7 @@ void add_flight_options(CLI::App* command, FlightArguments* a) {
   command
       ->add_option("--seed", a->seed, "Another seed is another world, wind and noise; equal seeds give equal flights")
       ->type_name("N")
+      ->check(whole_number(0, 1'000'000'000))
       ->capture_default_str();
   command->add_option("--scenarios", a->folder, "Folder in which scenarios are looked up")->type_name("DIR");
 }
@@ -51,11 +53,11 @@ void add_sim_command(CLI::App* app, SimArguments* a) {
       ->capture_default_str();
   command->add_option("--start", a->start, "Leave out the first N pictures")
       ->type_name("N")
-      ->check(CLI::NonNegativeNumber)
+      ->check(whole_number(0, kManyPictures))
       ->capture_default_str();
   command->add_option("--frames", a->frames, "Stop after N pictures (default: all)")
       ->type_name("N")
-      ->check(CLI::PositiveNumber);
+      ->check(whole_number(1, kManyPictures));
   command->footer(
       "Writes mav0/ (EuRoC/ASL), rgb.txt, camera.yaml, groundtruth.txt (camera), groundtruth_body.txt, imu.txt, "
       "boxes.csv\n"

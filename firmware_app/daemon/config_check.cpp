@@ -1,8 +1,12 @@
 #include "firmware_app/daemon/config_check.h"
 
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
 #include <unistd.h>
 
+#include "firmware_app/link_settings.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/sim/scenario.h"
 
@@ -29,6 +33,16 @@ void check_scenario(ConfigReport* report) {
   report->mistake("camera.scenario", why);
 }
 
+void check_state_folder(ConfigReport* report) {
+  const std::string& folder = report->config.link.state_folder;
+  if (folder.empty() || !wants_link(report->config)) return;
+  if (!std::filesystem::is_directory(folder)) {
+    report->mistake("link.state_folder", "\"" + folder + "\" is not there or no folder");
+  } else if (access(folder.c_str(), W_OK | X_OK) != 0) {
+    report->mistake("link.state_folder", "\"" + folder + "\" cannot be written to: " + std::strerror(errno));
+  }
+}
+
 }  // namespace
 
 void check_on_this_machine(ConfigReport* report) {
@@ -45,6 +59,7 @@ void check_on_this_machine(ConfigReport* report) {
                                                 std::to_string(odometry_frame_slots_min()) + " are allowed");
   }
   check_scenario(report);
+  check_state_folder(report);
   report->sort();
 }
 

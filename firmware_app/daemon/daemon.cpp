@@ -114,7 +114,10 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };
   auto link = start_link(config, calibration.T_body_cam, log, stop);
-  if (!link) return give_up(link.error().message);
+  if (!link) {
+    say(link.error().message);
+    return kExitRefused;
+  }
   LinkRunner* const autopilot = link.value().get();
   options.tap = autopilot;
   Journal journal(arm_memory(config));

@@ -220,6 +220,18 @@ TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {
   }
 }
 
+TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
+  const test::TempFolder folder;
+  const std::string config =
+      write_config(folder, "[camera]\nsource = \"sim\"\nscenarios = \"" GODWIT_SCENARIO_DIR
+                           "\"\n[can]\nbus = \"multicast:0\"\n[link]\nstate_folder = \"/nowhere\"\n");
+  for (const char* program : {GODWIT_TOOL " check", GODWIT_DAEMON}) {
+    const auto [said, code] = run(std::string(program) + " --config " + config);
+    EXPECT_EQ(code, 2) << program;
+    EXPECT_THAT(said, HasSubstr(config + ":7: link.state_folder: \"/nowhere\" is not there or no folder"));
+  }
+}
+
 TEST(GodwitCheck, SaysOkAndShowsEveryKey) {
   const test::TempFolder folder;
   const auto [said, code] = run(GODWIT_TOOL " check --show --config " + write_config(folder, kSmallFlight));

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sstream>
+#include <sys/stat.h>
 #include <sys/wait.h>
 
 #include "tests/support/tiny_sequence.h"
@@ -156,6 +157,35 @@ TEST_F(Replay, TheDetectorFliesAlongAndItsModelIsChecked) {
   const Outcome missing = replay("--detector on --model nosuch.onnx");
   EXPECT_EQ(missing.exit_code, 2);
   EXPECT_THAT(missing.text, HasSubstr("nosuch"));
+}
+
+TEST_F(Replay, WhatIsNoRegularFileIsNeitherWaitedForNorReadWithoutEnd) {
+  fs::remove(sequence() + "/rgb/0004.png");
+  fs::remove(sequence() + "/rgb/0006.png");
+  ASSERT_EQ(mkfifo((sequence() + "/rgb/0004.png").c_str(), 0600), 0);
+  fs::create_symlink("/dev/zero", sequence() + "/rgb/0006.png");
+  const Outcome outcome = replay("--sequential");
+  EXPECT_EQ(outcome.exit_code, 0);
+  EXPECT_THAT(outcome.text,
+              AllOf(HasSubstr("2 pictures were not flown: 2 bad"), HasSubstr("0004.png: not a regular file")));
+  const Outcome config = replay("--config /dev/zero");
+  EXPECT_EQ(config.exit_code, 2);
+  EXPECT_THAT(config.text, HasSubstr("/dev/zero: not a regular file"));
+}
+
+TEST_F(Replay, NumbersOutOfRangeAreToldWithWhatIsAllowed) {
+  for (const char* option : {"--frames 0", "--frames -3", "--view-every 0", "--loop x"}) {
+    const Outcome outcome = replay(option);
+    EXPECT_EQ(outcome.exit_code, 2) << option;
+    EXPECT_THAT(outcome.text, HasSubstr("whole numbers from 1 to ")) << option;
+  }
+  EXPECT_THAT(replay("--start -1").text, HasSubstr("'-1': whole numbers from 0 to 1000000000 are allowed"));
+  for (const char* seed : {"-1", "99999999999999999999999"}) {
+    const Outcome outcome = godwit(std::string("fly street --out '") + out() + "' --seed " + seed);
+    EXPECT_EQ(outcome.exit_code, 2) << seed;
+    EXPECT_THAT(outcome.text, HasSubstr("whole numbers from 0 to 1000000000 are allowed")) << seed;
+  }
+  EXPECT_THAT(godwit("replay '" + sequence() + "' --out ''").text, HasSubstr("--out: a folder is needed"));
 }
 
 TEST_F(Replay, BadPicturesAreCountedToldAndDoNotEndTheRun) {

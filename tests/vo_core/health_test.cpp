@@ -25,6 +25,19 @@ class HealthTest : public testing::Test {
   rt::TimeNs now_ = rt::kNsPerSecond;
 };
 
+TEST_F(HealthTest, ARefusedPoseIsToldByWhatItFailedBy) {
+  begin();
+  FrameEvidence e;
+  e.kind = Kind::kNoPose;
+  e.measurements = 44;  // enough, but
+  e.refusal = {"too few of the alignments hold [%]", 8, 10};
+  e.t_capture_ns = 3600 * rt::kNsPerSecond;
+  EXPECT_EQ(health_.step(e), State::kRelocalising);
+  EXPECT_STREQ(health_.reason().text, "too few of the alignments hold [%]");
+  EXPECT_EQ(health_.reason().value, 8);
+  EXPECT_EQ(health_.reason().limit, 10);
+}
+
 TEST_F(HealthTest, InitialisesUntilThereIsAMap) {
   EXPECT_EQ(step(Kind::kNoMap), State::kInitialising);
   EXPECT_EQ(step(Kind::kSamePicture), State::kInitialising);
