@@ -24,7 +24,7 @@ struct InitializerOptions {
   double min_parallax_deg = 1.0;        ///< median angle between the rays of the triangulated points
   int min_points = 60;                  ///< accepted points of the first map
   double max_depth_uncertainty = 0.03;  ///< median of depth_sigma / depth above which the map is refused
-  double max_ambiguity = 0.88;          ///< robust cost of the best motion over that of a different one, at most
+  double max_ambiguity = 0.80;          ///< robust cost of the best motion over that of a different one, at most
   double homography_ratio = 0.4;        ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
   double sigma_px = 1.0;       ///< measurement noise in the transfer error's outlier cut

@@ -1,5 +1,7 @@
 // Faults in the pictures of tum_fr1_xyz at five places: does it come back, in the same map, and is what it says true?
+#include <algorithm>
 #include <cstdio>
+#include <cstdlib>
 #include <gtest/gtest.h>
 
 #include "tests/faults/fault_run.h"
@@ -16,6 +18,16 @@ constexpr std::array<int, 1> kPlaces = {290};  // everything takes twenty times 
 #else
 constexpr std::array<int, 5> kPlaces = {180, 290, 400, 510, 620};
 #endif
+
+/// The committed places, or with GODWIT_FAULT_STEP=N every N-th picture of the sequence that leaves room around it.
+std::vector<int> places() {
+  const char* step = std::getenv("GODWIT_FAULT_STEP");
+  if (step == nullptr) return {kPlaces.begin(), kPlaces.end()};
+  std::vector<int> out;
+  constexpr int kFirst = 160, kLast = 640;
+  for (int place = kFirst; place <= kLast; place += std::max(1, std::atoi(step))) out.push_back(place);
+  return out;
+}
 
 enum class Fault { kRemoved, kBlack, kForeign };
 constexpr const char* kFaultNames[] = {"removed", "black", "foreign"};
@@ -137,7 +149,8 @@ void all_faults(const Recording& recording, const std::vector<Pixels>& foreign, 
 TEST_F(FaultRuns, OneAndThreeSecondsRemovedBlackenedOrReplacedAtFivePlaces) {
   Tally tally;
   const Recording other = Recording::load(mh01_, 100, 90);
-  for (const int place : kPlaces) {
+  const std::vector<int> all_places = places();
+  for (const int place : all_places) {
     const Recording recording = Recording::load(fr1_, place - kBefore, kBefore + 90 + kAfter);
     const auto foreign = foreign_pictures(other, recording.calibration.width, recording.calibration.height);
     const Pixels black(recording.pictures[0].size(), 0);
@@ -153,9 +166,10 @@ TEST_F(FaultRuns, OneAndThreeSecondsRemovedBlackenedOrReplacedAtFivePlaces) {
       "processor time of a frame: tracking median %.2f ms, p99 %.2f; searching median %.2f, p99 %.2f, max %.2f\n",
       percentile(tally.tracking_ms, 0.5), percentile(tally.tracking_ms, 0.99), percentile(tally.search_ms, 0.5),
       percentile(tally.search_ms, 0.99), percentile(tally.search_ms, 1.0));
-  EXPECT_EQ(tally.runs, static_cast<int>(6 * kPlaces.size()));
+  EXPECT_EQ(tally.runs, static_cast<int>(6 * all_places.size()));
   EXPECT_GE(tally.back * 10, tally.runs * 9);
-  EXPECT_EQ(tally.wrong, 0);
+  // At the committed places none; wherever the sequence is begun, at most one in a hundred: a first map is still bent.
+  EXPECT_LE(tally.wrong, std::getenv("GODWIT_FAULT_STEP") == nullptr ? 0 : tally.tracked / 100);
   EXPECT_EQ(tally.blind_tracked_late, 0);
 }
 
