@@ -116,12 +116,14 @@ TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
 
   std::thread tracker([&] {
     FrameReturn give = pool->reader(0);
+    test::Patience patience;
     for (std::uint32_t seen = 0; seen < kFrames;) {
       FrameHandle h;
       if (!to_tracker.try_pop(&h)) {
-        std::this_thread::yield();
+        patience.wait();
         continue;
       }
+      patience.progress();
       check(h);
       const bool pass_on = h.meta.sequence % 3 == 0 && to_mapper.try_push(h);
       check(h);
@@ -133,10 +135,12 @@ TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
   std::thread mapper([&] {
     FrameReturn give = pool->reader(1);
     std::vector<FrameHandle> kept;
+    test::Patience patience;
     while (true) {
       const bool last_round = tracker_done.load(std::memory_order_acquire);
       FrameHandle h;
       while (to_mapper.try_pop(&h)) {
+        patience.progress();
         kept.push_back(h);
         if (kept.size() > 3) {
           check(kept.front());
@@ -145,25 +149,27 @@ TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
         }
       }
       if (last_round) break;
-      std::this_thread::yield();
+      patience.wait();
     }
     for (const FrameHandle& h : kept) {
       check(h);
       give.give_back(h.slot);
     }
   });
+  test::Patience patience;
   for (std::uint32_t sequence = 0; sequence < kFrames;) {
     const int slot = pool->acquire();
     if (slot < 0) {
-      std::this_thread::yield();
+      patience.wait();
       continue;
     }
+    patience.progress();
     const MutableImageView g = pool->grey(slot);
     g.data[0] = stamp(sequence);
     g.data[g.stride * (g.height - 1)] = stamp(sequence);
     pool->meta(slot) = {static_cast<TimeNs>(sequence), 0, sequence};
     pool->hand_out(slot, 2);
-    while (!to_tracker.try_push({slot, pool->meta(slot)})) std::this_thread::yield();
+    while (!to_tracker.try_push({slot, pool->meta(slot)})) patience.wait();
     ++sequence;
   }
   tracker.join();

@@ -55,23 +55,27 @@ TEST(SpscRingStress, ItemsBetweenTwoThreadsArriveWholeAndInOrder) {
   const std::uint64_t kItems = test::stress_items();
   const auto ring = std::make_unique<SpscRing<Wide, 64>>();
   std::thread producer([&] {
+    test::Patience patience;
     for (std::uint64_t i = 0; i < kItems;) {
       Wide item{};
       for (std::uint64_t& w : item.word) w = i;
       if (ring->try_push(item)) {
         ++i;
+        patience.progress();
       } else {
-        std::this_thread::yield();
+        patience.wait();
       }
     }
   });
   std::uint64_t wrong = 0;
+  test::Patience patience;
   for (std::uint64_t expected = 0; expected < kItems;) {
     Wide item{};
     if (!ring->try_pop(&item)) {
-      std::this_thread::yield();
+      patience.wait();
       continue;
     }
+    patience.progress();
     for (const std::uint64_t w : item.word) wrong += w != expected ? 1u : 0u;
     ++expected;
   }

@@ -40,12 +40,14 @@ TEST(TripleBufferStress, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
     }
   });
   std::uint64_t last = 0, torn = 0, backwards = 0;
+  test::Patience patience;
   while (last < kValues) {
     Wide value{};
     if (!buffer.read(&value)) {
-      std::this_thread::yield();
+      patience.wait();
       continue;
     }
+    patience.progress();
     for (const std::uint64_t w : value.word) torn += w != value.word[0] ? 1u : 0u;
     backwards += value.word[0] <= last ? 1u : 0u;
     last = value.word[0];

@@ -50,14 +50,14 @@ TEST(TruthMasks, FromThreadToThreadNothingIsMixedUp) {
   std::atomic<std::uint32_t> through{0};
   std::thread camera([&] {
     for (std::uint32_t i = 0; i < kFrames; ++i) {
-      while (i - through.load() > 16) std::this_thread::yield();
+      while (i - through.load() > 16) std::this_thread::sleep_for(std::chrono::microseconds(1));
       masks.put(i, std::vector{box(10.0 * (i % 60), 10, 10.0 * (i % 60) + 4, 14)});
     }
   });
   std::uint32_t right = 0;
   for (std::uint32_t i = 0; i < kFrames; ++i) {
     rt::MaskPyramidView mask;
-    while ((mask = masks.mask_for(frame(i), {})).levels == 0) std::this_thread::yield();
+    while ((mask = masks.mask_for(frame(i), {})).levels == 0) std::this_thread::sleep_for(std::chrono::microseconds(1));
     const int x = static_cast<int>(i % 60) * 10 + 2;
     right += masked(mask, 0, x, 12) && !masked(mask, 0, (x + 300) % 600, 12) ? 1 : 0;
     through.store(i + 1);
