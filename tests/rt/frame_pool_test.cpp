@@ -99,10 +99,11 @@ TEST(FramePool, ACancelledSlotIsFreeAgain) {
 // others; the mapper keeps a few. Nobody may ever see a picture change while holding a reference to it.
 TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
   const auto kFrames = static_cast<std::uint32_t>(test::stress_items());
-  FramePool::Layout l = layout(8, 2);
+  FramePool::Layout l = layout(64, 2);
   l.colour = false;
   const auto pool = std::move(FramePool::create(l)).value();
-  SpscRing<FrameHandle, 16> to_tracker, to_mapper;
+  SpscRing<FrameHandle, 64> to_tracker;
+  SpscRing<FrameHandle, 16> to_mapper;
   std::atomic<std::uint64_t> wrong{0};
   std::atomic<bool> tracker_done{false};
 
@@ -176,8 +177,8 @@ TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
   mapper.join();
   EXPECT_EQ(wrong.load(), 0u);
   std::set<int> free_again;
-  for (int i = 0; i < 8; ++i) free_again.insert(pool->acquire());
-  EXPECT_EQ(free_again.size(), 8u) << "every reference came home";
+  for (int i = 0; i < 64; ++i) free_again.insert(pool->acquire());
+  EXPECT_EQ(free_again.size(), 64u) << "every reference came home";
   EXPECT_EQ(free_again.count(-1), 0u);
 }
 
