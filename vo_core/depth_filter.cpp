@@ -42,6 +42,21 @@ double DepthEstimate::relative_sigma() const {
   return inv_depth > 0.0 ? std::sqrt(variance) / inv_depth : 1e9;
 }
 
+void AgreedDepth::add(double measured_inv_depth, double measured_variance) {
+  if (!(measured_variance > 0.0) || !std::isfinite(measured_variance) || !std::isfinite(measured_inv_depth)) return;
+  if (matches_ > 0) {
+    const double off = measured_inv_depth - inv_depth();
+    if (off * off > kSigmas * kSigmas * (measured_variance + variance())) *this = {};
+  }
+  ++matches_;
+  weight_ += 1.0 / measured_variance;
+  weighted_ += measured_inv_depth / measured_variance;
+}
+
+double AgreedDepth::relative_sigma() const {
+  return std::sqrt(variance()) / inv_depth();
+}
+
 double inverse_depth_variance(const Vec3& t_ref_cur, const Vec3& f_ref, double depth, double px_error_angle) {
   const Vec3 a = f_ref * depth - t_ref_cur;
   const double t_norm = t_ref_cur.norm(), a_norm = a.norm();

@@ -25,6 +25,27 @@ struct DepthEstimate {
   double inlier_ratio() const { return a / (a + b); }
 };
 
+/// Measurements on end that agree on one inverse depth, and their weighted mean. Where points are needed at once this
+/// tells sooner than the filter's variance, which has to rule out first that the measurements are chance.
+class AgreedDepth {
+ public:
+  /// A measurement off by more than kSigmas of mean and measurement together begins a new run.
+  static constexpr double kSigmas = 2.5;
+  /// What is not finite, or of no positive variance, is left out.
+  void add(double measured_inv_depth, double measured_variance);
+
+  int matches() const { return matches_; }
+  // Of one match at least.
+  double inv_depth() const { return weighted_ / weight_; }
+  double variance() const { return 1.0 / weight_; }
+  /// One sigma of depth over depth.
+  double relative_sigma() const;
+
+ private:
+  int matches_ = 0;
+  double weight_ = 0.0, weighted_ = 0.0;
+};
+
 /// Inverse-depth variance of a triangulated depth when the match is off by px_error_angle [rad] along the epipolar line
 /// (Pizzoli, Forster, Scaramuzza, "REMODE", ICRA 2014, section III-B). f_ref: unit bearing, t_ref_cur: place of the
 /// other camera in the reference frame.

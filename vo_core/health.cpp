@@ -38,6 +38,9 @@ State Health::step(const FrameEvidence& e) {
     case FrameEvidence::Kind::kUnproved:
       without_pose(e, {"found in the map, to be confirmed", e.measurements, options_.min_measurements});
       break;
+    case FrameEvidence::Kind::kWeak:
+      without_pose(e, {"a pose of few features, not counted", e.measurements, options_.min_measurements});
+      break;
     case FrameEvidence::Kind::kNoPose:
       without_pose(e, e.refusal.text[0] != '\0'
                           ? e.refusal

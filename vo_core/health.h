@@ -34,6 +34,7 @@ struct FrameEvidence {
     kFirstMap,     ///< this frame began a map
     kPose,         ///< the picture gave a pose that was proved
     kUnproved,     ///< found in the map again, and not yet confirmed by another frame
+    kWeak,         ///< a pose of too few measurements to count, good enough to go on from
     kNoPose,       ///< measurements were too few
     kSamePicture,  ///< bit for bit the picture before: a frozen camera, nothing was measured
   };

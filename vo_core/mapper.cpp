@@ -59,7 +59,9 @@ bool Mapper::step() {
   // bundle adjustment makes it certain later.
   hunger_ = std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
   // Where movers cover much of the picture, they are about to cover what carries the pose now.
-  if (const double covered = m->mask.covered(); covered > options_.crowded) hunger_ = std::max(hunger_, covered);
+  const double covered = m->mask.covered();
+  crowded_ = covered > options_.crowded;
+  if (crowded_) hunger_ = std::max(hunger_, covered);
   sigma_limit_ = options_.converged_sigma + hunger_ * (options_.starving_sigma - options_.converged_sigma);
   report_ = {};
   report_.kind = m->kind;
@@ -196,6 +198,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->feature.type = found[i].type;
     seed->feature.bearing = camera_.unproject(found[i].px.cast<double>());
     seed->misses = seed->matches = 0;
+    seed->agreed = {};
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
@@ -240,7 +243,17 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   // While the tracker starves, a seed will do whose uncertain depth moves it by less than the match noise in the
   // picture at hand: little motion needs little depth.
   const double shift_px = camera_.fx() * t_host_cur.norm() * e.inv_depth * e.relative_sigma();
-  const bool good_enough = hunger_ > options_.hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
+  const bool hungry = hunger_ > options_.hungry;
+  bool good_enough = hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
+  // The filter takes long to rule out that matches are chance. Where several in a row are of one depth, they are not;
+  // between movers there is no time to wait.
+  seed->agreed.add(1.0 / r.depth, tau2);
+  if (crowded_ && hungry && !good_enough && seed->agreed.matches() >= options_.agreeing_matches &&
+      seed->agreed.relative_sigma() < options_.starving_sigma) {
+    e.inv_depth = seed->agreed.inv_depth();
+    e.variance = seed->agreed.variance();
+    good_enough = true;
+  }
   if (good_enough || e.relative_sigma() < sigma_limit_) {
     // No room in this delta: the seed waits for the next one.
     if (delta_->new_point_count >= MapDelta::kMaxNewPoints || delta_->new_feature_count >= MapDelta::kMaxNewFeatures)

@@ -26,6 +26,7 @@ struct MapperOptions {
   double crowded = 0.4;             ///< share of the picture under the mask above which it is hunger too
   double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
   double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
+  int agreeing_matches = 4;         ///< in a crowd so many matches on end that agree on the depth are enough too
   double match_sigma_px = 0.6;      ///< noise of an epipolar match
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
   int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
@@ -74,6 +75,7 @@ class Mapper {
     KeyframeFeature feature;
     DepthEstimate estimate;
     int misses = 0, matches = 0;
+    AgreedDepth agreed;
   };
 
   void handle_reset(const MapperMessage& m);
@@ -103,6 +105,7 @@ class Mapper {
   BundleAdjuster bundle_;
   std::unique_ptr<std::array<Seed, kMaxSeeds>> seeds_;
   int next_seed_ = 0;
+  bool crowded_ = false;      ///< movers cover much of the frame at hand
   double hunger_ = 0.0;       ///< 0: the tracker sees enough points, 1: none
   double sigma_limit_ = 0.0;  ///< converged_sigma, raised while the tracker starves
   MapperReport report_;

@@ -23,6 +23,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
       align_(std::make_unique<SparseImageAlign>(camera_, options.align)),
       reprojector_(std::make_unique<Reprojector>(camera_, with_shutter(options.reprojector, options.shutter))),
       relocaliser_(std::make_unique<Relocaliser>(camera_, options.relocaliser)),
+      landmarks_(std::make_unique<LandmarkFinder>(camera_, options.landmarks)),
       gate_(camera.width(), camera.height(), options.gate),
       health_(options.health) {}
 Tracker::~Tracker() = default;
@@ -79,9 +80,9 @@ bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_c
   return n >= 15;
 }
 
-bool Tracker::align_with_keyframe(Frame* frame, FrameResult* result) {
+bool Tracker::align_with_keyframe(int attempt, Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
-  const RelocalisationGuess guess = relocaliser_->guess(*map_, frame->pyramid, frame->mask, relocalise_attempt_++);
+  const RelocalisationGuess guess = relocaliser_->guess(*map_, frame->pyramid, frame->mask, attempt);
   int n = 0;
   if (guess.place >= 0) {
     const Keyframe& kf = map_->keyframe(guess.place);
@@ -98,6 +99,15 @@ bool Tracker::align_with_keyframe(Frame* frame, FrameResult* result) {
   frame->velocity.setZero();
   result->times.align += now() - t0;
   return n >= 15;
+}
+
+bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const LandmarkReport found = landmarks_->find(*map_, frame->pyramid, frame->mask, attempt);
+  if (found.found) frame->T_cam_world = found.T_cam_world;
+  frame->velocity.setZero();
+  result->times.align += now() - t0;
+  return found.found;
 }
 
 bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result) {
@@ -241,10 +251,16 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   result->times.keyframe = now() - t0;
 }
 
-bool Tracker::find_by_keyframe(const FrameInput& in, Frame* frame, FrameResult* result) {
-  // First a rough pose, then all of the map around it.
-  if (align_with_keyframe(frame, result) && measure(in, frame, options_.rough_measurements, result) &&
-      measure(in, frame, options_.health.min_measurements, result) && passes(options_.promising, *result))
+bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
+  // What looks like a keyframe; between movers, who spoil that, in turns with what looks like points of the map. First
+  // a rough pose, then all of the map around it.
+  const int attempt = relocalise_attempt_++;
+  const bool guessed = !frame->crowded    ? align_with_keyframe(attempt, frame, result)
+                       : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
+                                          : align_with_keyframe(attempt / 2, frame, result);
+  if (guessed && measure(in, frame, options_.rough_measurements, result) &&
+      measure(in, frame, least_measurements(*frame), result) &&
+      ((frame->crowded && passes(options_.few_but_sure, *result)) || passes(options_.promising, *result)))
     return true;
   if (result->matches == 0) result->measurements = 0;
   return false;
@@ -259,23 +275,28 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (have_velocity_ && near && gap > 0) guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     align_with_last(in, frame, guess, result);
-    if (measure(in, frame, options_.health.min_measurements, result)) {
-      if (near && unproved_ == 0) return Kind::kPose;
-      if (unproved_ > 0 && passes(options_.convincing, *result)) {
+    if (measure(in, frame, least_measurements(*frame), result)) {
+      const bool counts = result->measurements >= options_.health.min_measurements;
+      const bool sure = frame->crowded && passes(options_.few_but_sure, *result);
+      const Kind kind = counts ? Kind::kPose : Kind::kWeak;
+      if (near && unproved_ == 0) {
+        if (counts || (sure && weak_ < options_.weak_frames)) return kind;
+      } else if (unproved_ > 0 && (sure || (counts && passes(options_.convincing, *result)))) {
         unproved_ = 0;
-        return Kind::kPose;
+        return kind;
+      } else if (unproved_ < options_.unproved_frames && (sure || (counts && passes(options_.promising, *result)))) {
+        return Kind::kUnproved;
       }
-      if (unproved_ < options_.unproved_frames && passes(options_.promising, *result)) return Kind::kUnproved;
     }
     if (unproved_ > 0) {
       unproved_ = 0;
       retire(&last_);
       feature_count_ = 0;
     }
-  } else if (find_by_keyframe(in, frame, result)) {
+  } else if (find_in_map(in, frame, result)) {
     return Kind::kUnproved;
   }
-  return find_by_keyframe(in, frame, result) ? Kind::kUnproved : Kind::kNoPose;
+  return find_in_map(in, frame, result) ? Kind::kUnproved : Kind::kNoPose;
 }
 
 bool Tracker::same_picture(const rt::ImageView& grey) {
@@ -307,6 +328,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   frame.counter = frame_counter_;
   frame.t_capture_ns = in.t_capture_ns;
   frame.mask = in.mask;
+  frame.crowded = covered_share(in.mask) > options_.crowded;
   const bool same = same_picture(in.grey);
   frame.pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
   rt::TimeNs t1 = now();
@@ -328,7 +350,7 @@ FrameResult Tracker::track(const FrameInput& in) {
     if (evidence.kind == FrameEvidence::Kind::kNoPose) {
       retire(&frame);
     } else {
-      take_pose(evidence.kind == FrameEvidence::Kind::kPose, &frame, &result);
+      take_pose(evidence.kind, &frame, &result);
     }
   }
   evidence.measurements = result.measurements;
@@ -351,13 +373,14 @@ FrameResult Tracker::track(const FrameInput& in) {
   return result;
 }
 
-void Tracker::take_pose(bool proved, Frame* frame, FrameResult* result) {
+void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
   adopt_features();
-  if (proved) {
+  weak_ = kind == FrameEvidence::Kind::kWeak ? weak_ + 1 : 0;
+  if (kind != FrameEvidence::Kind::kUnproved) {
     const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
     // Of the poses as measured, not as aligned.
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
-    result->tracked = true;
+    result->tracked = kind == FrameEvidence::Kind::kPose;
     result->T_world_cam = frame->T_cam_world.inverse();
     have_velocity_ = dt > 0.0;
     consider_keyframe(frame, result);

@@ -12,6 +12,7 @@
 #include "vo_core/health.h"
 #include "vo_core/initializer.h"
 #include "vo_core/keyframe_selector.h"
+#include "vo_core/landmark_finder.h"
 #include "vo_core/map_channel.h"
 #include "vo_core/motion_gate.h"
 #include "vo_core/pose_optimizer.h"
@@ -72,6 +73,7 @@ struct TrackerOptions {
   KeyframeSelectorOptions keyframe;
   RollingShutter shutter;
   RelocaliserOptions relocaliser;
+  LandmarkFinderOptions landmarks;
   HealthOptions health;
   MotionGateOptions gate;
   /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
@@ -90,6 +92,12 @@ struct TrackerOptions {
   };
   Gate promising{30, 0.5, 0.15, 2.2};  ///< the shutter's velocity is not known yet
   Gate convincing{40, 0.6, 0.30, 1.5};
+  /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
+  /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
+  /// from, and to map with, for a while.
+  double crowded = 0.4;
+  Gate few_but_sure{18, 0.8, 0.5, 1.2};
+  int weak_frames = 30;
   int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
   int unproved_frames = 5;      ///< so many frames may pass until one convinces
   int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
@@ -119,6 +127,7 @@ class Tracker {
     bool holds_mapper_reference = false;
     rt::PyramidView pyramid;
     rt::MaskPyramidView mask;  ///< valid only while the frame is being tracked
+    bool crowded = false;      ///< much of it is masked
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
     std::uint32_t sequence = 0;
@@ -133,14 +142,18 @@ class Tracker {
   bool initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
   FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
-  bool align_with_keyframe(Frame* frame, FrameResult* result);
+  bool align_with_keyframe(int attempt, Frame* frame, FrameResult* result);
+  bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
   bool measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result);
   // These two say in refusal_ what they refuse for.
   bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
   bool enough_found(double share, const FrameResult& r);
-  bool find_by_keyframe(const FrameInput& in, Frame* frame, FrameResult* result);
+  int least_measurements(const Frame& frame) const {
+    return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;
+  }
+  bool find_in_map(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
-  void take_pose(bool proved, Frame* frame, FrameResult* result);
+  void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
   bool same_picture(const rt::ImageView& grey);
   void consider_keyframe(Frame* frame, FrameResult* result);
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
@@ -159,6 +172,7 @@ class Tracker {
   std::unique_ptr<SparseImageAlign> align_;
   std::unique_ptr<Reprojector> reprojector_;
   std::unique_ptr<Relocaliser> relocaliser_;
+  std::unique_ptr<LandmarkFinder> landmarks_;
   const MotionGate gate_;
   Health health_;
 
@@ -174,6 +188,7 @@ class Tracker {
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
+  int weak_ = 0;                ///< frames on end whose pose had few measurements
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;
   std::uint64_t picture_hash_ = 0;

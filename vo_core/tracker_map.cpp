@@ -34,6 +34,7 @@ void Tracker::begin_map() {
   for (int k = 0; k < kMaxKeyframes; ++k)
     if (map_->keyframe(k).id != 0) release(map_->keyframe(k).slot, 1);
   map_->clear();
+  landmarks_->forget();
   initializer_.reset();
   ++epoch_;
   next_keyframe_id_ = 1;
@@ -41,7 +42,7 @@ void Tracker::begin_map() {
   frames_since_keyframe_ = 0;
   feature_count_ = 0;
   have_velocity_ = false;
-  unproved_ = 0;
+  unproved_ = weak_ = 0;
   relocalise_attempt_ = 0;
   reset_pending_ = true;
 }

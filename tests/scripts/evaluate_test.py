@@ -57,6 +57,29 @@ class Evaluate(unittest.TestCase):
         result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
         self.assertAlmostEqual(result['ate_m'], np.sqrt((noise ** 2).sum(1).mean()), delta=0.001)
 
+    def test_relative_error_of_a_drift_is_the_drift_of_a_second(self):
+        # Along x at 0.5 m/s; the estimate turns away from it by 0.02 rad/s about z.
+        t = np.linspace(0, 10, 301)
+        p = np.stack([0.5 * t, 0 * t, 0 * t], 1)
+        angle = 0.02 * t
+        q = np.stack([0 * t, 0 * t, np.sin(angle / 2), np.cos(angle / 2)], 1)
+        metres, degrees = evaluate.relative_error(t, p, evaluate.rotation(q), p,
+                                                  evaluate.rotation(np.tile([0, 0, 0, 1.0], (len(t), 1))))
+        self.assertAlmostEqual(degrees, np.degrees(0.02), delta=0.01)
+        # In the turned frame half a metre lies off by half a metre times the angle, 0 to 0.18 rad.
+        self.assertAlmostEqual(metres, 0.5 * np.sqrt((angle[:271] ** 2).mean()), delta=0.002)
+        self.assertIsNone(evaluate.relative_error(t[:10], p[:10], np.tile(np.eye(3), (10, 1, 1)), p[:10],
+                                                  np.tile(np.eye(3), (10, 1, 1))))
+
+    def test_a_truth_of_the_body_gives_the_cameras_rotation(self):
+        (self.folder / 'sensor.yaml').write_text('T_BS: {data: [0,-1,0,0, 1,0,0,0, 0,0,1,0, 0,0,0,1]}\n')
+        (self.folder / 'data.csv').write_text('#t\n0,0,0,0,1,0,0,0\n1000000000,1,0,0,0,0,0,1\n')
+        q = evaluate.load_truth_quaternions(self.folder / 'data.csv', self.folder / 'sensor.yaml')
+        R = evaluate.rotation(q)
+        quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        np.testing.assert_allclose(R[0], quarter, atol=1e-9)
+        np.testing.assert_allclose(R[1], np.diag([-1, -1, 1]) @ quarter, atol=1e-9)
+
     def test_only_the_longest_map_counts(self):
         t, p = curve(300)
         q = p.copy()

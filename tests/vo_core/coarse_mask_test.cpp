@@ -1,6 +1,7 @@
 // The mask in small.
 #include "vo_core/coarse_mask.h"
 
+#include <algorithm>
 #include <gtest/gtest.h>
 #include <memory>
 #include <vector>
@@ -24,6 +25,16 @@ TEST(CoarseMask, IsLevelThreeOfTheMaskPyramid) {
   const auto copy = std::make_unique<CoarseMask>();
   copy->assign(*coarse);
   EXPECT_TRUE(copy->masked(Vec2f(60.0f, 44.0f)));
+}
+
+TEST(CoveredShare, CountsTheCoarsestLevel) {
+  EXPECT_EQ(covered_share({}), 0.0);
+  std::vector<std::uint8_t> top(20 * 15, 0);
+  std::fill_n(top.begin(), 60, std::uint8_t{255});
+  rt::MaskPyramidView mask;
+  mask.levels = rt::kPyramidLevels;
+  mask.level[rt::kPyramidLevels - 1] = {top.data(), 20, 15, 20};
+  EXPECT_DOUBLE_EQ(covered_share(mask), 0.2);
 }
 
 TEST(CoarseMask, TellsHowMuchIsCoveredAndWhatWasLaidBare) {

@@ -40,6 +40,38 @@ TEST(DepthFilter, NonsenseIsIgnored) {
   EXPECT_EQ(e.variance, before.variance);
 }
 
+TEST(AgreedDepth, MeasurementsOfOneDepthGiveTheirWeightedMean) {
+  AgreedDepth a;
+  a.add(1.0, 0.04);
+  a.add(1.1, 0.01);
+  EXPECT_EQ(a.matches(), 2);
+  EXPECT_NEAR(a.inv_depth(), (1.0 / 0.04 + 1.1 / 0.01) / (1.0 / 0.04 + 1.0 / 0.01), 1e-12);
+  EXPECT_NEAR(a.variance(), 1.0 / 125.0, 1e-12);
+  EXPECT_NEAR(a.relative_sigma(), std::sqrt(a.variance()) / a.inv_depth(), 1e-12);
+}
+
+TEST(AgreedDepth, OneThatDisagreesBeginsAnew) {
+  AgreedDepth a;
+  for (int i = 0; i < 5; ++i) a.add(1.0, 0.01);
+  a.add(1.2, 0.01);  // 1.8 sigmas of both together
+  EXPECT_EQ(a.matches(), 6);
+  a.add(2.0, 0.01);
+  EXPECT_EQ(a.matches(), 1);
+  EXPECT_EQ(a.inv_depth(), 2.0);
+  EXPECT_EQ(a.variance(), 0.01);
+}
+
+TEST(AgreedDepth, NonsenseIsLeftOut) {
+  AgreedDepth a;
+  a.add(1.0, 0.01);
+  a.add(NAN, 0.01);
+  a.add(1.0, NAN);
+  a.add(INFINITY, 1.0);
+  a.add(1.0, 0.0);
+  a.add(1.0, INFINITY);
+  EXPECT_EQ(a.matches(), 1);
+}
+
 // The variance against what a match off by one pixel's angle really does to the triangulated inverse depth.
 TEST(DepthFilter, MeasurementVarianceFollowsTheGeometry) {
   const double angle = 0.6 / 500.0;

@@ -63,6 +63,14 @@ TEST_F(HealthTest, AFoundPoseCountsOnlyWhenConfirmed) {
   EXPECT_EQ(step(Kind::kPose, 80), State::kTracking);
 }
 
+TEST_F(HealthTest, APoseOfFewFeaturesDoesNotCountAndSaysSo) {
+  begin();
+  EXPECT_EQ(step(Kind::kWeak, 25), State::kRelocalising);
+  EXPECT_STREQ(health_.reason().text, "a pose of few features, not counted");
+  EXPECT_EQ(health_.reason().value, 25);
+  EXPECT_EQ(step(Kind::kPose, 31), State::kTracking);
+}
+
 TEST_F(HealthTest, CoastsOnInertialPosesForAShortTimeOnly) {
   begin();
   rt::TimeNs coasted = 0;
