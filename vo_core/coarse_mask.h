@@ -10,16 +10,6 @@
 
 namespace godwit::vo {
 
-/// Share of a picture that is masked, 0 to 1, by the coarsest level of its mask.
-inline double covered_share(const rt::MaskPyramidView& mask) {
-  if (mask.levels == 0) return 0.0;
-  const rt::ImageView& top = mask.level[static_cast<std::size_t>(mask.levels - 1)];
-  int n = 0;
-  for (int y = 0; y < top.height; ++y)
-    for (int x = 0; x < top.width; ++x) n += top.row(y)[x] != 0;
-  return top.width * top.height > 0 ? static_cast<double>(n) / (top.width * top.height) : 0.0;
-}
-
 /// Cells of 8 x 8 pixels of level 0: level 3 of a mask pyramid. No columns: nothing is masked.
 struct CoarseMask {
   static constexpr int kLevel = 3;
@@ -69,5 +59,15 @@ struct CoarseMask {
     return x < columns && y < rows && cell[static_cast<std::size_t>(y * columns + x)] != 0;
   }
 };
+
+/// Share of a picture that is masked, 0 to 1: what CoarseMask::covered() tells of it.
+inline double covered_share(const rt::MaskPyramidView& mask) {
+  if (mask.levels <= CoarseMask::kLevel) return 0.0;
+  const rt::ImageView& level = mask.level[CoarseMask::kLevel];
+  int n = 0;
+  for (int y = 0; y < level.height; ++y)
+    for (int x = 0; x < level.width; ++x) n += level.row(y)[x] != 0;
+  return level.width * level.height > 0 ? static_cast<double>(n) / (level.width * level.height) : 0.0;
+}
 
 }  // namespace godwit::vo

@@ -25,8 +25,8 @@ struct DepthEstimate {
   double inlier_ratio() const { return a / (a + b); }
 };
 
-/// Measurements on end that agree on one inverse depth, and their weighted mean. Where points are needed at once this
-/// tells sooner than the filter's variance, which has to rule out first that the measurements are chance.
+/// Measurements, one after the other, that agree on one inverse depth, and their weighted mean. Where points are needed
+/// at once this tells sooner than the filter's variance, which has to rule out first that the measurements are chance.
 class AgreedDepth {
  public:
   /// A measurement off by more than kSigmas of mean and measurement together begins a new run.

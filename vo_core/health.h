@@ -9,7 +9,8 @@
 namespace godwit::vo {
 
 /// INITIALISING: no map yet. TRACKING: this frame's picture gave the pose. COASTING: a pose from inertial measurements
-/// alone, for a short time. RELOCALISING: there is a map, this frame was not found in it. LOST: the map was given up,
+/// alone, for a short time. RELOCALISING: there is a map, this frame was not found in it,
+/// or by too few features to count. LOST: the map was given up,
 /// another one is being begun.
 enum class State : std::uint8_t { kInitialising, kTracking, kCoasting, kRelocalising, kLost };
 const char* state_name(State s);

@@ -17,7 +17,7 @@ LandmarkFinder::LandmarkFinder(const CameraModel& camera, const LandmarkFinderOp
 LandmarkFinder::~LandmarkFinder() = default;
 
 void LandmarkFinder::forget() {
-  for (Look& look : *looks_) look.known = false;
+  for (Look& look : *looks_) look = {};
 }
 
 double LandmarkFinder::median_depth(const Map& map) {
@@ -30,20 +30,25 @@ double LandmarkFinder::median_depth(const Map& map) {
   return depth[static_cast<std::size_t>(n / 2)];
 }
 
-void LandmarkFinder::learn(const Map& map) {
+void LandmarkFinder::learn(const Map& map, int points) {
   int described = 0;
   const int end = map.point_end();
-  for (int i = 0; i < end && described < options_.described_a_frame; ++i) {
+  for (int i = 0; i < end && described < points; ++i) {
     if (next_to_learn_ >= end) next_to_learn_ = 0;
     const int index = next_to_learn_++;
     const MapPoint& p = map.point(index);
     Look& look = (*looks_)[static_cast<std::size_t>(index)];
-    if (!p.active || (look.known && look.generation == p.generation) || p.observation_count == 0) continue;
-    // As it was seen last.
-    const Observation& o = p.observations[static_cast<std::size_t>(p.observation_count - 1)];
-    const Keyframe& kf = map.keyframe(o.keyframe);
+    if (!p.active) continue;
+    if (look.generation == p.generation && (look.known || look.observations == p.observation_count)) continue;
     look.generation = p.generation;
-    look.known = upright_.describe(kf.pyramid, kf.features[o.feature].px, &look.descriptor);
+    look.observations = p.observation_count;
+    look.known = false;
+    // Of its views any that is not too near the edge.
+    for (int k = 0; k < p.observation_count && !look.known; ++k) {
+      const Observation& o = p.observations[static_cast<std::size_t>(k)];
+      const Keyframe& kf = map.keyframe(o.keyframe);
+      look.known = upright_.describe(kf.pyramid, kf.features[o.feature].px, &look.descriptor);
+    }
     ++described;
   }
 }
@@ -150,7 +155,7 @@ int LandmarkFinder::agreeing(int matches, const SE3& T_cam_world) const {
 LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                                     int attempt) {
   LandmarkReport report;
-  learn(map);
+  learn(map, options_.described_a_frame);
   // Of three attempts two are upright, the third is turned by +1, -1, +2, -2, .. steps, until the circle is full.
   double roll = 0.0;
   if (attempt % 3 == 2) {

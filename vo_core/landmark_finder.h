@@ -18,14 +18,15 @@
 namespace godwit::vo {
 
 struct LandmarkFinderOptions {
-  int corners = 240;            ///< of the frame; at most kMaxFrameFeatures
-  int described_a_frame = 700;  ///< points whose look is not known yet, taken up in one call
-  int max_points = 2500;        ///< compared with in one call; of a larger map parts in turns
-  int max_distance = 64;        ///< of descriptors that may match
-  double max_ratio = 0.85;      ///< best distance over that of the best point elsewhere
-  double elsewhere = 0.03;      ///< points nearer together than this, over depth, are one place
-  int rounds = 200;             ///< hypotheses of three matches each (Fischler and Bolles 1981)
-  double agreement_px = 8.0;    ///< a match agrees with a pose to so much; the shutter's part in it is not known yet
+  int corners = 240;                   ///< of the frame; at most kMaxFrameFeatures
+  int described_a_tracked_frame = 60;  ///< of the points that learn() is given while all is well
+  int described_a_frame = 700;         ///< points whose look is not known yet, taken up in one call
+  int max_points = 2500;               ///< compared with in one call; of a larger map parts in turns
+  int max_distance = 64;               ///< of descriptors that may match
+  double max_ratio = 0.85;             ///< best distance over that of the best point elsewhere
+  double elsewhere = 0.03;             ///< points nearer together than this, over depth, are one place
+  int rounds = 200;                    ///< hypotheses of three matches each (Fischler and Bolles 1981)
+  double agreement_px = 8.0;  ///< a match agrees with a pose to so much; the shutter's part in it is not known yet
   int min_agreeing = 12;
   double roll_step_rad = 0.5;  ///< every third attempt is turned about the optical axis by so much more
 };
@@ -47,6 +48,9 @@ class LandmarkFinder {
   /// Attempt number `attempt` of one search, counted over its frames.
   LandmarkReport find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, int attempt);
 
+  /// Takes up what at most `points` of the map look like that are not known yet; find() does it too, for more of them.
+  void learn(const Map& map, int points);
+
   /// Another map begins: nothing that is known of points holds any more.
   void forget();
 
@@ -54,6 +58,7 @@ class LandmarkFinder {
   struct Look {
     std::uint16_t generation = 0;
     bool known = false;
+    std::uint8_t observations = 0;  ///< of the point when it was tried last; another try only when they have changed
     BriefDescriptor descriptor;
   };
   struct Match {
@@ -64,7 +69,6 @@ class LandmarkFinder {
   static constexpr int kMaxCorners = 240;
 
   static double median_depth(const Map& map);
-  void learn(const Map& map);
   int match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt);
   int start_keyframe(const Map& map, int matches) const;
   bool pose_of_three(int a, int b, int c, SE3* T_cam_world) const;

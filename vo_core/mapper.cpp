@@ -244,20 +244,20 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   // picture at hand: little motion needs little depth.
   const double shift_px = camera_.fx() * t_host_cur.norm() * e.inv_depth * e.relative_sigma();
   const bool hungry = hunger_ > options_.hungry;
-  bool good_enough = hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
-  // The filter takes long to rule out that matches are chance. Where several in a row are of one depth, they are not;
-  // between movers there is no time to wait.
+  const bool good_enough = hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
+  // The filter takes long to rule out that matches are chance. Where several, one after the other, are of one depth,
+  // they are not; between movers there is no time to wait.
   seed->agreed.add(1.0 / r.depth, tau2);
-  if (crowded_ && hungry && !good_enough && seed->agreed.matches() >= options_.agreeing_matches &&
-      seed->agreed.relative_sigma() < options_.starving_sigma) {
-    e.inv_depth = seed->agreed.inv_depth();
-    e.variance = seed->agreed.variance();
-    good_enough = true;
-  }
-  if (good_enough || e.relative_sigma() < sigma_limit_) {
+  const bool agreed = crowded_ && hungry && !good_enough && seed->agreed.matches() >= options_.agreeing_matches &&
+                      seed->agreed.relative_sigma() < options_.starving_sigma;
+  if (good_enough || agreed || e.relative_sigma() < sigma_limit_) {
     // No room in this delta: the seed waits for the next one.
     if (delta_->new_point_count >= MapDelta::kMaxNewPoints || delta_->new_feature_count >= MapDelta::kMaxNewFeatures)
       return;
+    if (agreed) {
+      e.inv_depth = seed->agreed.inv_depth();
+      e.variance = seed->agreed.variance();
+    }
     seed_to_point(seed);
     seed->active = false;
   }

@@ -180,6 +180,15 @@ bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
   return false;
 }
 
+bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
+  if (!frame.crowded || weak_ >= options_.weak_frames) return false;
+  // What lies inside the mask is looked for without being counted as tried: it must not stand in for what lies beside.
+  int beside = 0;
+  for (int i = 0; i < match_count_; ++i) beside += measurements_[i].inlier && !features_scratch_[i].shaded;
+  return beside >= options_.weak_beside && beside >= options_.few_but_sure.found_share * r.trials &&
+         passes(options_.few_but_sure, r);
+}
+
 void Tracker::adopt_features() {
   reprojector_->keep_score(map_.get());
   feature_count_ = map_feature_count_ = 0;
@@ -231,7 +240,9 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
       f.last_angle_rad = angle;
     }
   }
-  const KeyframeReason why = select_keyframe(options_.keyframe, f);
+  KeyframeReason why = select_keyframe(options_.keyframe, f);
+  // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
+  if (!result->tracked && map_feature_count_ < options_.weak_beside) why = KeyframeReason::kNone;
   bool sent = false;
   if (why != KeyframeReason::kNone && channel_->messages.free_items() >= 1) {
     const std::uint32_t id = next_keyframe_id_;
@@ -260,7 +271,7 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
                                           : align_with_keyframe(attempt / 2, frame, result);
   if (guessed && measure(in, frame, options_.rough_measurements, result) &&
       measure(in, frame, least_measurements(*frame), result) &&
-      ((frame->crowded && passes(options_.few_but_sure, *result)) || passes(options_.promising, *result)))
+      (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
     return true;
   if (result->matches == 0) result->measurements = 0;
   return false;
@@ -277,16 +288,22 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     align_with_last(in, frame, guess, result);
     if (measure(in, frame, least_measurements(*frame), result)) {
       const bool counts = result->measurements >= options_.health.min_measurements;
-      const bool sure = frame->crowded && passes(options_.few_but_sure, *result);
-      const Kind kind = counts ? Kind::kPose : Kind::kWeak;
-      if (near && unproved_ == 0) {
-        if (counts || (sure && weak_ < options_.weak_frames)) return kind;
-      } else if (unproved_ > 0 && (sure || (counts && passes(options_.convincing, *result)))) {
-        unproved_ = 0;
-        return kind;
-      } else if (unproved_ < options_.unproved_frames && (sure || (counts && passes(options_.promising, *result)))) {
-        return Kind::kUnproved;
+      const bool sure = few_but_sure(*frame, *result);
+      const bool followed = near && unproved_ == 0;
+      if (followed && weak_ == 0 && counts) return Kind::kPose;
+      // After a guess, or after poses that did not count, one must convince before it does.
+      if (followed || unproved_ > 0) {
+        if (counts && (sure || passes(options_.convincing, *result))) {
+          unproved_ = 0;
+          return Kind::kPose;
+        }
+        if (sure) {
+          unproved_ = 0;
+          return Kind::kWeak;
+        }
       }
+      if (unproved_ < options_.unproved_frames && (sure || (counts && passes(options_.promising, *result))))
+        return Kind::kUnproved;
     }
     if (unproved_ > 0) {
       unproved_ = 0;
@@ -375,7 +392,9 @@ FrameResult Tracker::track(const FrameInput& in) {
 
 void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
   adopt_features();
-  weak_ = kind == FrameEvidence::Kind::kWeak ? weak_ + 1 : 0;
+  if (kind == FrameEvidence::Kind::kWeak) ++weak_;
+  if (kind == FrameEvidence::Kind::kPose) weak_ = 0;
+  if (frame->crowded) landmarks_->learn(*map_, options_.landmarks.described_a_tracked_frame);
   if (kind != FrameEvidence::Kind::kUnproved) {
     const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
     // Of the poses as measured, not as aligned.

@@ -43,8 +43,8 @@ struct FrameInput {
 
 struct FrameResult {
   State state = State::kInitialising;
-  bool tracked = false;  ///< at least min_measurements image measurements updated the pose
-  bool is_keyframe = false;
+  bool tracked = false;            ///< at least min_measurements image measurements updated the pose
+  bool is_keyframe = false;        ///< also of a frame between movers that does not count as tracked
   std::uint32_t map_id = 0;        ///< counts from 1; 0 when there is no map
   int measurements = 0;            ///< inliers of the pose optimisation
   int matches = 0;                 ///< aligned points
@@ -97,7 +97,8 @@ struct TrackerOptions {
   /// from, and to map with, for a while.
   double crowded = 0.4;
   Gate few_but_sure{18, 0.8, 0.5, 1.2};
-  int weak_frames = 30;
+  int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
+  int weak_beside = 12;  ///< of the measurements outside the mask
   int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
   int unproved_frames = 5;      ///< so many frames may pass until one convinces
   int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
@@ -148,6 +149,7 @@ class Tracker {
   // These two say in refusal_ what they refuse for.
   bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
   bool enough_found(double share, const FrameResult& r);
+  bool few_but_sure(const Frame& frame, const FrameResult& r);
   int least_measurements(const Frame& frame) const {
     return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;
   }

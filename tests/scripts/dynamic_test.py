@@ -77,6 +77,11 @@ class Dynamic(unittest.TestCase):
         self.run_it('--worlds', 'still', '--guards', 'both', '--sequential')
         self.assertEqual(len(self.flown()), 2)
 
+    def test_table_holds_only_the_runs_that_were_asked_for(self):
+        self.run_it('--worlds', 'still', '--guards', 'gate', '--runs', '3')
+        done = self.run_it('--worlds', 'still', '--guards', 'neither,gate', '--runs', '1')
+        self.assertIn('| still | gate | 1 |', done.stdout)
+
     def test_a_flight_that_fails_is_told(self):
         self.flyer.write_text('#!/bin/sh\necho "godwit: it does not fly" >&2\nexit 3\n')
         done = self.run_it('--worlds', 'still', '--guards', 'gate', '--runs', '1')

@@ -27,14 +27,17 @@ TEST(CoarseMask, IsLevelThreeOfTheMaskPyramid) {
   EXPECT_TRUE(copy->masked(Vec2f(60.0f, 44.0f)));
 }
 
-TEST(CoveredShare, CountsTheCoarsestLevel) {
+TEST(CoveredShare, IsWhatTheMaskInSmallTells) {
   EXPECT_EQ(covered_share({}), 0.0);
-  std::vector<std::uint8_t> top(20 * 15, 0);
-  std::fill_n(top.begin(), 60, std::uint8_t{255});
+  std::vector<std::uint8_t> level(40 * 30, 0);
+  std::fill_n(level.begin(), 240, std::uint8_t{255});
   rt::MaskPyramidView mask;
   mask.levels = rt::kPyramidLevels;
-  mask.level[rt::kPyramidLevels - 1] = {top.data(), 20, 15, 20};
+  mask.level[CoarseMask::kLevel] = {level.data(), 40, 30, 40};
   EXPECT_DOUBLE_EQ(covered_share(mask), 0.2);
+  const auto coarse = std::make_unique<CoarseMask>();
+  coarse->assign(mask);
+  EXPECT_DOUBLE_EQ(coarse->covered(), covered_share(mask));
 }
 
 TEST(CoarseMask, TellsHowMuchIsCoveredAndWhatWasLaidBare) {

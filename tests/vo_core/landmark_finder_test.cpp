@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <vector>
 
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
 #include "tests/vo_core/synthetic_picture.h"
 #include "tests/vo_core/synthetic_scene.h"
 
@@ -128,10 +130,36 @@ TEST_F(LandmarkFinderTest, AnEmptyMapABlackPictureAndAForgottenMapGiveNothing) {
   const View black{SE3(), scene_, 0.0};
   EXPECT_FALSE(finder_.find(map_, black.pyramid.view(), {}, 0).found);
   ASSERT_TRUE(finder_.find(map_, keyframe_.pyramid.view(), {}, 0).found);
-  // The same slots, other points: what was known of the old ones does not count for them.
+}
+
+TEST_F(LandmarkFinderTest, WhatWasKnownOfAPointDoesNotCountForTheNextInItsPlace) {
+  ASSERT_GT(finder_.find(map_, keyframe_.pyramid.view(), {}, 0).matches, 100);
+  // The same handles come back, as they do from a mapper that begins anew; no keyframe shows them.
+  std::vector<PointHandle> handles;
+  for (int i = 0; i < map_.point_end(); ++i)
+    handles.push_back({static_cast<std::uint16_t>(i), map_.point(i).generation});
   map_.clear();
+  for (const PointHandle& h : handles) map_.activate_point(h, Vec3(0, 0, 3));
+  Keyframe& other = map_.insert_keyframe(0, 1);
+  other.median_depth = 3.0;
+  EXPECT_GT(finder_.find(map_, keyframe_.pyramid.view(), {}, 0).matches, 0) << "or forget() is not needed";
   finder_.forget();
   EXPECT_EQ(finder_.find(map_, keyframe_.pyramid.view(), {}, 0).matches, 0);
+}
+
+TEST_F(LandmarkFinderTest, NothingIsAllocated) {
+  const View now{pose(Vec3(0.1, 0.0, 0.05), Vec3(0.02, -0.05, 0.0))};
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  bool found = false;
+  {
+    const rt::RtScope scope;
+    for (int attempt = 0; attempt < 3; ++attempt) {  // the third is turned
+      found |= finder_.find(map_, now.pyramid.view(), {}, attempt).found;
+      finder_.learn(map_, 50);
+    }
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  EXPECT_TRUE(found);
 }
 
 }  // namespace
