@@ -9,6 +9,7 @@
 
 #include "hal/sim/flight.h"
 #include "tests/sim/test_scenario.h"
+#include "tests/support/temp_folder.h"
 
 namespace godwit::sim {
 namespace {
@@ -16,11 +17,6 @@ using testing::HasSubstr;
 
 class ScenarioFile : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = std::filesystem::path(testing::TempDir()) / testing::UnitTest::GetInstance()->current_test_info()->name();
-    std::filesystem::create_directories(folder_);
-  }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
   std::filesystem::path write(const std::string& text) const {
     const std::filesystem::path file = folder_ / "test.toml";
     std::ofstream(file) << text;
@@ -30,7 +26,8 @@ class ScenarioFile : public testing::Test {
     const rt::Result<Scenario> read = read_scenario(write(text));
     return read.ok() ? "(no error)" : read.error().message;
   }
-  std::filesystem::path folder_;
+  godwit::test::TempFolder temporary_;
+  const std::filesystem::path folder_ = temporary_.path();
   const std::string leg_ = "[[flight.leg]]\nkind = \"hover\"\nduration_s = 2\n";
 };
 
