@@ -3,8 +3,10 @@ import csv
 import pathlib
 import subprocess
 import sys
-import tempfile
 import unittest
+
+sys.dont_write_bytecode = True
+import stand_in  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -34,19 +36,14 @@ for i in range(100):
 '''
 
 
-class Conditions(unittest.TestCase):
+class Conditions(stand_in.StandInTest):
+    FLYER = FLYER
+
     def setUp(self):
-        self.temp = tempfile.TemporaryDirectory()
-        self.folder = pathlib.Path(self.temp.name)
-        self.flyer = self.folder / 'godwit'
-        self.flyer.write_text(FLYER)
-        self.flyer.chmod(0o755)
+        super().setUp()
         (self.folder / 'scenarios').mkdir()
         for name in ('calm', 'wild'):
             (self.folder / 'scenarios' / f'{name}.toml').write_text('')
-
-    def tearDown(self):
-        self.temp.cleanup()
 
     def run_it(self, *arguments):
         return subprocess.run([sys.executable, str(ROOT / 'benchmarks' / 'conditions'), '--godwit', str(self.flyer),

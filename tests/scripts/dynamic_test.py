@@ -3,8 +3,10 @@ import os
 import pathlib
 import subprocess
 import sys
-import tempfile
 import unittest
+
+sys.dont_write_bytecode = True
+import stand_in  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -31,20 +33,15 @@ for i, row in enumerate(truth):
 '''
 
 
-class Dynamic(unittest.TestCase):
+class Dynamic(stand_in.StandInTest):
+    FLYER = FLYER
+
     def setUp(self):
-        self.temp = tempfile.TemporaryDirectory()
-        self.folder = pathlib.Path(self.temp.name)
-        self.flyer = self.folder / 'godwit'
-        self.flyer.write_text(FLYER)
-        self.flyer.chmod(0o755)
+        super().setUp()
         still = self.folder / 'shared/data/tum_fr1_xyz'
         still.mkdir(parents=True)
         (still / 'groundtruth.txt').write_text(
             ''.join(f'{i / 30:.6f} {i % 17} {i % 13} {i % 7} 0 0 0 1\n' for i in range(200)))
-
-    def tearDown(self):
-        self.temp.cleanup()
 
     def run_it(self, *arguments):
         return subprocess.run([sys.executable, str(ROOT / 'benchmarks' / 'dynamic'), '--godwit', str(self.flyer),
