@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "detector/detector.h"
 #include "hal/rt/thread.h"
 
 namespace godwit::app {
@@ -39,6 +40,22 @@ struct Config {
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;
+
+  /// The network that finds what may move. The files that are meant: model_files().
+  struct Detector {
+    bool enabled = true;
+    std::string model;  ///< ONNX, its metadata beside it; empty: the one that comes with godwit
+    std::string
+        small_model;  ///< for the small input; empty: the one that comes with godwit, or `model` where that is set
+    godwit::detector::Backend backend = godwit::detector::Backend::kCpu;
+    double min_score = 0.25;
+    int threads = 1;  ///< OpenCV's
+  } detector;
+
+  /// What moves, found by geometry (vo_core/motion_gate.h).
+  struct Gate {
+    bool enabled = true;
+  } gate;
 
   struct Imu {
     double silent_s = 0.5;  ///< an IMU of which nothing is newer is called silent

@@ -17,6 +17,19 @@ void add_thread(const std::string& section, rt::ThreadPlan* plan, std::vector<Ke
   to->push_back(keys::whole(section + ".priority", 0, kHighestPriority, &plan->priority));
 }
 
+void add_movers(Config* c, std::vector<Key>* to) {
+  using Backend = detector::Backend;
+  to->push_back(keys::flag("detector.enabled", &c->detector.enabled));
+  to->push_back(keys::text("detector.model", kLongestPath, "a file", &c->detector.model));
+  to->push_back(keys::text("detector.small_model", kLongestPath, "a file", &c->detector.small_model));
+  to->push_back(keys::choice<Backend>(
+      "detector.backend", {{"cpu", Backend::kCpu}, {"cuda", Backend::kCuda}, {"cuda_fp16", Backend::kCudaFp16}},
+      &c->detector.backend));
+  to->push_back(keys::number("detector.min_score", 0.05, 0.95, "", &c->detector.min_score));
+  to->push_back(keys::whole("detector.threads", 1, 64, &c->detector.threads));
+  to->push_back(keys::flag("gate.enabled", &c->gate.enabled));
+}
+
 void add_link(Config* c, std::vector<Key>* to) {
   using Profile = Config::Link::Profile;
   using Arming = Config::Link::Arming;
@@ -77,11 +90,11 @@ std::vector<Key> config_keys(Config* c) {
            keys::text("camera.scenarios", kLongestPath, "a folder", &c->camera.scenarios),
            keys::whole<std::uint64_t>("camera.seed", 0, 1'000'000'000, &c->camera.seed),
            keys::whole("camera.pictures", 2, 10000, &c->camera.pictures),
-
-           keys::number("imu.silent_s", 0.02, 10, "s", &c->imu.silent_s),
        }) {
     out.push_back(std::move(key));
   }
+  add_movers(c, &out);
+  out.push_back(keys::number("imu.silent_s", 0.02, 10, "s", &c->imu.silent_s));
   add_link(c, &out);
   return out;
 }

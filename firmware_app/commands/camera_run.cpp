@@ -3,21 +3,17 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/exit_code.h"
-#include "firmware_app/dynamic/dynamic_masks.h"
 #include "firmware_app/link_runner.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/output/view_writer.h"
 #include "firmware_app/pipeline/arming.h"
-#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/pipeline/assembly.h"
 #include "firmware_app/pipeline/pipeline.h"
 
 namespace godwit::app {
 namespace {
-
-/// Frames that the detector may hold: the one it looks at, and the next.
-constexpr int kDetectorSlots = 2;
 
 /// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
@@ -96,53 +92,23 @@ int failed(const std::string& message) {
 
 int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, const Config& config,
                const CameraRunPlan& plan, const std::atomic<bool>& stop) {
-  auto model = make_camera_model(calibration);
-  if (!model) return refuse(plan.calibration_name + ": " + model.error().message);
-
-  rt::FramePool::Layout layout;
-  layout.width = calibration.width;
-  layout.height = calibration.height;
-  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
-  layout.slots = config.pipeline.frame_slots;
-  if (layout.slots == 0) layout.slots = odometry_frame_slots();
-  if (layout.slots < odometry_frame_slots_min())
-    return refuse(fmt::format("pipeline.frame_slots: {} are too few to fly with; 0 or at least {} are allowed",
-                              layout.slots, odometry_frame_slots_min()));
-  layout.readers = plan.detector ? kFrameReadersWithDetector : kFrameReaders;
-  if (plan.detector) layout.slots = std::min(layout.slots + kDetectorSlots, rt::kMaxFrameSlots);
-  layout.colour = plan.detector && calibration.channels == 3;
-  auto pool = rt::FramePool::create(layout);
-  if (!pool) return refuse(pool.error().message);
-
-  OdometryOptions odometry = odometry_options(calibration);
-  if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
-  odometry.gate = plan.gate;
-  std::unique_ptr<DynamicMasks> dynamic;
-  if (plan.detector) {
-    DynamicMasksOptions options;
-    options.model = plan.model;
-    if (plan.model.empty()) {
-      options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
-      options.small_model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
-    }
-    auto opened = DynamicMasks::open(options, pool.value().get());
-    if (!opened) return refuse(opened.error().message);
-    dynamic = std::move(opened).value();
-    if (!dynamic->warning().empty()) fmt::print(stderr, "godwit: warning: {}\n", dynamic->warning());
-  }
-  MaskSource* const masks = plan.masks != nullptr ? plan.masks : dynamic.get();
   std::optional<ViewWriter> view;
   if (!plan.view.empty()) {
     auto opened = ViewWriter::open(plan.view, plan.view_every);
     if (!opened) return refuse("--view: " + opened.error().message);
     view.emplace(std::move(opened).value());
   }
-  const auto stage = make_odometry_stage(model.value(), odometry, pool.value().get(), masks, view ? &*view : nullptr);
+  auto assembled =
+      assemble(config, calibration, {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr});
+  if (!assembled) return refuse(assembled.error().message);
+  const Assembly& parts = assembled.value();
+  if (parts.dynamic != nullptr && !parts.dynamic->warning().empty())
+    fmt::print(stderr, "godwit: warning: {}\n", parts.dynamic->warning());
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
   pipeline.newest_frame = plan.pace == "real";
-  pipeline.detector = dynamic.get();
+  parts.plan_detector(&pipeline);
   pipeline.imu = plan.imu;
   const auto log = [](LinkLogLevel level, const std::string& text) {
     fmt::print(stderr, "godwit: {}{}\n", level == LinkLogLevel::kWarning ? "warning: " : "", text);
@@ -161,7 +127,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   {
     ProgressBar bar(plan.total);
     ShowingSink sink(&writer, &bar, arm_memory(config));
-    run = run_pipeline(camera, stage.get(), pool.value().get(), pipeline, &sink,
+    run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }
   if (!run) return failed(run.error().message);

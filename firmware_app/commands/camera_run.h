@@ -22,11 +22,8 @@ struct CameraRunPlan {
   bool sequential = false;
   std::int64_t start = 0;
   std::int64_t total = 0;       ///< pictures to come, for the progress bar
-  MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: none, or the detector's
+  MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
-  bool detector = false;        ///< find what may move by a network
-  std::string model;            ///< its file; empty: the one that comes with godwit
-  bool gate = false;            ///< find what moves by geometry
   std::string view;             ///< folder for pictures of what was seen; empty: none
   std::int64_t view_every = 30;
 };

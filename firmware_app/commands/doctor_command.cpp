@@ -6,6 +6,7 @@
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/doctor_autopilot.h"
+#include "firmware_app/commands/doctor_detector.h"
 #include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/link_settings.h"
@@ -14,7 +15,8 @@ namespace godwit::app {
 
 void add_doctor_command(CLI::App* app, DoctorArguments* a) {
   CLI::App* doctor = app->add_subcommand(
-      "doctor", "Look at camera, inertial sensor, bus and autopilot, and say what does not fit and what to set");
+      "doctor",
+      "Look at camera, network, inertial sensor, bus and autopilot, and say what does not fit and what to set");
   doctor->add_option("--config", a->config_file, "Configuration (TOML); config/godwit.toml lists every key")
       ->type_name("FILE");
   add_link_options(doctor, &a->can, &a->mavlink);
@@ -48,6 +50,9 @@ int run_doctor(const DoctorArguments& a, const std::atomic<bool>& stop) {
 
   DoctorReport report;
   DoctorCamera camera = examine_camera(config, a.sequence, &report);
+  const bool known = camera.calibration.width > 0 && camera.calibration.height > 0;
+  examine_detector(config, known ? camera.calibration.width : 640, known ? camera.calibration.height : 480,
+                   camera.calibration.fps, &report);
   examine_imu("/", &report);
   if (config.can.bus.empty()) {
     report.note("bus: none is configured (can.bus)");

@@ -56,6 +56,9 @@ void add_fly_command(CLI::App* app, FlyArguments* a) {
 int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   Config config;
   if (!check_run_arguments(a.run, &config)) return kExitRefused;
+  if (a.truth_masks && (a.run.detector == "on" || !a.run.model.empty()))
+    return refuse("--truth-masks and --detector on: one of them gives the masks");
+  if (a.truth_masks) config.detector.enabled = false;
   const auto flight = make_flight(a.flight);
   if (!flight) return refuse(flight.error().message);
   hal::ReplayTime time;
@@ -76,13 +79,8 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.total = camera.left();
   plan.masks = camera.masks();
   plan.imu = imu.get();
-  plan.gate = a.run.gate == "on";
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
-  plan.detector = a.run.detector == "on";
-  plan.model = a.run.model;
-  if (plan.masks != nullptr && plan.detector)
-    return refuse("--truth-masks and --detector on: one of them gives the masks");
   if (a.render_ahead) {
     if (const auto drawn = camera.render_ahead(stop); !drawn) {
       if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);

@@ -22,8 +22,20 @@ namespace {
 /// What this version cannot do is refused, not ignored: a result without it would pass for one with it.
 std::string missing_part(const ReplayArguments& a) {
   if (a.imu == "on") return "--imu on: this version does not use an IMU yet; --imu watch reads it beside the camera";
-  if (!a.model.empty() && a.detector != "on") return "--model: is for the detector; add --detector on";
   return {};
+}
+
+/// Against what moves: a flag that is given wins over the file. What neither names is off, whatever its default in
+/// flight: a replay measures what it is told to.
+void take_mover_options(const ReplayArguments& a, const ConfigReport& file, Config* config) {
+  const auto wanted = [&](const std::string& flag, const char* key, bool configured) {
+    return flag.empty() ? configured && file.lines.contains(key) : flag == "on";
+  };
+  config->detector.enabled = wanted(a.detector, "detector.enabled", config->detector.enabled);
+  config->gate.enabled = wanted(a.gate, "gate.enabled", config->gate.enabled);
+  if (a.model.empty()) return;
+  config->detector.model = a.model;
+  config->detector.small_model.clear();
 }
 
 }  // namespace
@@ -73,10 +85,12 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->type_name("N")
       ->check(whole_number(1, kManyPictures));
   const auto on_off = [&](const char* name, std::string* value, const char* what) {
-    command->add_option(name, *value, what)->check(CLI::IsMember({"on", "off"}))->capture_default_str();
+    command->add_option(name, *value, what)->check(CLI::IsMember({"on", "off"}));
   };
-  on_off("--detector", &a->detector, "Find what may move by a network and leave it out");
-  on_off("--gate", &a->gate, "Find what moves by geometry and leave it out");
+  on_off("--detector", &a->detector,
+         "Find what may move by a network and leave it out (default: as detector.enabled in the file of --config, off "
+         "where that does not say)");
+  on_off("--gate", &a->gate, "Find what moves by geometry and leave it out (default: the same with gate.enabled)");
   command
       ->add_option(
           "--imu", a->imu,
@@ -84,7 +98,10 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
           "pose does not use it yet")
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
-  command->add_option("--model", a->model, "The detector's network")->type_name("FILE");
+  command
+      ->add_option("--model", a->model,
+                   "The detector's network, for the large input and the small one (default: detector.model)")
+      ->type_name("FILE");
   command
       ->add_option("--view", a->view,
                    "Folder for pictures of what was seen: the picture, its dynamic pixels, and the features behind the "
@@ -148,11 +165,17 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--view: writing pictures takes time that the tracker has not at real pace; leave --pace real out");
     return false;
   }
+  ConfigReport report;
   if (!a.config_file.empty()) {
-    const ConfigReport report = load_config(a.config_file);
+    report = load_config(a.config_file);
     for (const std::string& mistake : report.mistakes) refuse(mistake);
     if (!report.ok()) return false;
     *config = report.config;
+  }
+  take_mover_options(a, report, config);
+  if (!a.model.empty() && !config->detector.enabled) {
+    refuse("--model: is for the detector; add --detector on");
+    return false;
   }
   if (!take_link_options(a.can, a.mavlink, config)) return false;
   if (a.bench_metric) config->link.bench_metric = true;
@@ -197,9 +220,6 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.start = a.start;
   plan.total = camera.value()->total();
   plan.imu = imu.get();
-  plan.detector = a.detector == "on";
-  plan.model = a.model;
-  plan.gate = a.gate == "on";
   plan.view = a.view;
   plan.view_every = a.view_every;
   return run_camera(camera.value().get(), calibration, config, plan, stop);

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <unistd.h>
 
+#include "firmware_app/dynamic/model_files.h"
 #include "firmware_app/link_settings.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/sim/scenario.h"
@@ -59,6 +60,10 @@ void check_on_this_machine(ConfigReport* report) {
                                                 std::to_string(odometry_frame_slots_min()) + " are allowed");
   }
   check_scenario(report);
+  if (c.detector.enabled) {
+    check_model_files(c.detector,
+                      [report](const std::string& key, const std::string& why) { report->mistake(key, why); });
+  }
   check_state_folder(report);
   report->sort();
 }

@@ -8,7 +8,7 @@
 #include "firmware_app/link_runner.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/pipeline/arming.h"
-#include "firmware_app/pipeline/odometry_stage.h"
+#include "firmware_app/pipeline/assembly.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sources/looped_pictures.h"
 #include "hal/machine/machine_state.h"
@@ -75,10 +75,15 @@ rt::Result<Source> open_sim(const Config::Camera& config, const std::atomic<bool
   return out;
 }
 
-void tell(const PipelineCounters& c, std::uint64_t tracked) {
+void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
   say(fmt::format("{} frames, {} tracked, {} bad, {} dropped, {} late; {} rungs down, {} up, now {}", c.due, tracked,
                   c.bad, c.dropped_slots + c.dropped_late, c.scheduler.slips, c.scheduler.steps_down,
                   c.scheduler.steps_up, rung_name(c.rung)));
+  if (detector) {
+    const SchedulerCounters& s = c.scheduler;
+    say(fmt::format("detector: {} detections, {} failed, {} late, {} times hung", s.detections, s.detections_failed,
+                    s.detections_late, s.detector_stuck));
+  }
   for (const ThreadReport& t : c.threads) {
     say(fmt::format("thread {}: {} minor and {} major page faults, {} kB of stack", t.name, t.faults.minor,
                     t.faults.major, t.stack_used / 1024));
@@ -92,23 +97,20 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   if (stop.load(std::memory_order_relaxed)) return kExitDone;
   if (!source) return give_up(source.error().message);
   const hal::CameraCalibration& calibration = source.value().calibration;
-  auto model = make_camera_model(calibration);
-  if (!model) return give_up(model.error().message);
-
-  rt::FramePool::Layout layout;
-  layout.width = calibration.width;
-  layout.height = calibration.height;
-  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
-  layout.slots = config.pipeline.frame_slots > 0 ? config.pipeline.frame_slots : odometry_frame_slots();
-  layout.readers = kFrameReaders;
-  auto pool = rt::FramePool::create(layout);
-  if (!pool) return give_up(pool.error().message);
-  const auto stage = make_odometry_stage(model.value(), odometry_options(calibration), pool.value().get());
+  // The networks run once here, so that the first picture in flight is not the slow one.
+  auto assembled = assemble(config, calibration, {});
+  if (!assembled) {
+    say(assembled.error().message);
+    return kExitRefused;
+  }
+  const Assembly& parts = assembled.value();
+  if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
 
   const hal::MachineMonitor machine;
   PipelineOptions options;
   options.newest_frame = true;
   options.machine = &machine;
+  parts.plan_detector(&options);
   plan_pipeline(config, calibration.fps, &options);
   const auto log = [](LinkLogLevel level, const std::string& text) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
@@ -121,7 +123,7 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   LinkRunner* const autopilot = link.value().get();
   options.tap = autopilot;
   Journal journal(arm_memory(config));
-  const auto run = run_pipeline(source.value().camera.get(), stage.get(), pool.value().get(), options, &journal,
+  const auto run = run_pipeline(source.value().camera.get(), parts.stage.get(), parts.pool.get(), options, &journal,
                                 autopilot != nullptr ? autopilot->stop() : stop);
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();
@@ -129,7 +131,7 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
     autopilot->finish();
     counters.threads.push_back(autopilot->thread_report());
   }
-  tell(counters, journal.tracked());
+  tell(counters, journal.tracked(), parts.dynamic != nullptr);
   if (autopilot == nullptr) return kExitDone;
   for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
   if (autopilot->restart_due()) {

@@ -23,7 +23,6 @@ struct DynamicMasksOptions {
   detector::DetectorOptions detector;
   /// Initialisation waits so long for the first mask (DESIGN.md): until then everything counts as dynamic.
   rt::TimeNs first_mask_ns = 200 * rt::kNsPerMs;
-  float min_score = 0.25F;
 };
 
 /// The paper, section 2.3.1. detect() on the detector's thread, mask_for() on the tracker's; nobody waits.
@@ -34,6 +33,10 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
 
   bool detect(const DetectorJob& job) override;
   rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) override;
+
+  /// Sides of the networks' inputs [px]; the same where there is one network.
+  int input_px() const { return large_.info().input_width; }
+  int small_input_px() const { return small_ != nullptr ? small_->info().input_width : input_px(); }
 
   /// What was asked for and could not be had, in words; empty if nothing.
   std::string warning() const;

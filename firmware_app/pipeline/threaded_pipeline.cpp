@@ -255,6 +255,7 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
   DetectionEnd detection;
   while (detections_.try_pop(&detection)) {
     scheduler_.detection_done(detection.t_done_ns, detection.t_capture_ns, detection.failed);
+    note_detection(detection);
   }
   hal::MachineState machine;
   if (machine_.read(&machine)) scheduler_.machine(machine.temperature_c, machine.throttled);
@@ -282,6 +283,19 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
     detector_wake_.post();
   } else {
     tracker_return->give_back(handle.slot);
+  }
+}
+
+void ThreadedPipeline::note_detection(const DetectionEnd& detection) {
+  const MasksState now = detection.failed ? MasksState::kFailing : MasksState::kComing;
+  if (now == masks_state_) return;
+  masks_state_ = now;
+  if (detection.failed) {
+    events_->say({detection.t_capture_ns, rt::LogLevel::kWarning, "detections fail"});
+  } else {
+    // Without a pace the times of the pictures are not those of this machine.
+    const double age_s = newest_frame_ ? rt::to_seconds(detection.t_done_ns - detection.t_capture_ns) : 0;
+    events_->say({detection.t_capture_ns, rt::LogLevel::kInfo, "detections come", "", "after [s]", age_s, 0});
   }
 }
 

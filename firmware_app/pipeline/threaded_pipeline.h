@@ -51,6 +51,9 @@ class ThreadedPipeline {
     bool failed = false;
   };
 
+  /// What the log has been told of the detector's answers.
+  enum class MasksState { kNone, kComing, kFailing };
+
   rt::Result<void> start();
   void join(PipelineCounters* counters);
   void feed();
@@ -69,6 +72,7 @@ class ThreadedPipeline {
   int take_newest(rt::FrameHandle* handle, rt::FrameReturn* tracker_return);
   void track_one(rt::FrameHandle handle, rt::FrameReturn* tracker_return);
   void schedule(const rt::FrameHandle& handle, const FrameRecord& record, int dropped, rt::FrameReturn* tracker_return);
+  void note_detection(const DetectionEnd& detection);
   void look_around();
   void look_for_silence(rt::TimeNs now_ns);
   void note_picture(rt::TimeNs now_ns, rt::TimeNs t_capture_ns);
@@ -126,6 +130,7 @@ class ThreadedPipeline {
   rt::TimeNs t_heard_ns_ = 0;         ///< when it came, or when the run began
   bool silent_ = false;
   bool detector_stuck_ = false;
+  MasksState masks_state_ = MasksState::kNone;
   std::optional<rt::TimeNs> t_imu_ns_;  ///< of the newest sample, or when it was first looked for
   rt::TimeNs t_imu_lost_ns_ = 0;        ///< the same when it was called silent
   bool imu_silent_ = false;

@@ -152,6 +152,7 @@ void Scheduler::detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool 
   ordered_ = false;
   stuck_ = false;
   ++counters_.detections;
+  if (failed) ++counters_.detections_failed;
   if (now_ns > deadline_ns_) ++counters_.detections_late;
   const double took = static_cast<double>(now_ns - t_ordered_ns_) / (static_cast<double>(ordered_px_) * ordered_px_);
   cost_per_px2_ = cost_per_px2_ > 0 ? 0.8 * cost_per_px2_ + 0.2 * took : took;

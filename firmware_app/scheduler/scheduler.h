@@ -77,9 +77,10 @@ struct SchedulerCounters {
   std::uint64_t steps_down = 0, steps_up = 0;
   std::array<std::uint64_t, kRungReasons> by_reason{};
   std::array<rt::TimeNs, kRungs> time_on_rung_ns{};
-  std::uint64_t detections = 0;       ///< orders that came back
-  std::uint64_t detections_late = 0;  ///< of these: after their deadline
-  std::uint64_t detector_stuck = 0;   ///< times it was given up on
+  std::uint64_t detections = 0;         ///< orders that came back
+  std::uint64_t detections_failed = 0;  ///< of these: without a mask
+  std::uint64_t detections_late = 0;    ///< of these: after their deadline
+  std::uint64_t detector_stuck = 0;     ///< times it was given up on
 };
 
 /// Steers by what it is told. One thread; no allocation, bounded.

@@ -88,6 +88,30 @@ TEST(Config, TheSchedulersLimitsStandInOrder) {
       << "a key that the file does not hold has no line";
 }
 
+TEST(Config, TheNetworkAndTheGate) {
+  const ConfigReport good = parse_config(
+      "[detector]\nenabled = false\nmodel = \"a.onnx\"\nsmall_model = \"b.onnx\"\nbackend = \"cuda_fp16\"\n"
+      "min_score = 0.5\nthreads = 2\n[gate]\nenabled = false\n",
+      "c.toml");
+  ASSERT_TRUE(good.ok()) << good.mistakes[0];
+  EXPECT_FALSE(good.config.detector.enabled);
+  EXPECT_EQ(good.config.detector.model, "a.onnx");
+  EXPECT_EQ(good.config.detector.small_model, "b.onnx");
+  EXPECT_EQ(good.config.detector.backend, detector::Backend::kCudaFp16);
+  EXPECT_EQ(good.config.detector.min_score, 0.5);
+  EXPECT_EQ(good.config.detector.threads, 2);
+  EXPECT_FALSE(good.config.gate.enabled);
+  EXPECT_THAT(parse_config("[detector]\nenabled = \"on\"\nbackend = \"gpu\"\nmin_score = 0\nthreads = 0\n"
+                           "[gate]\nenabled = 1\n",
+                           "c.toml")
+                  .mistakes,
+              ElementsAre("c.toml:2: detector.enabled: true or false is allowed",
+                          "c.toml:3: detector.backend: \"cpu\", \"cuda\" or \"cuda_fp16\" is allowed",
+                          "c.toml:4: detector.min_score: a number from 0.05 to 0.95 is allowed",
+                          "c.toml:5: detector.threads: a whole number from 1 to 64 is allowed",
+                          "c.toml:7: gate.enabled: true or false is allowed"));
+}
+
 TEST(Config, AKeyInTheWrongSectionIsToldItsPlace) {
   EXPECT_THAT(parse_config("mapper_delay_frames = 2\n", "c.toml").mistakes,
               ElementsAre(HasSubstr("c.toml:1: mapper_delay_frames: unknown key; did you mean "

@@ -152,9 +152,11 @@ TEST(Godwitd, WithoutPrivilegesOneWarningAndOnItFlies) {
   const test::TempFolder folder;
   fs::permissions(folder.path(), fs::perms::others_read | fs::perms::others_exec, fs::perm_options::add);
   fs::copy(GODWIT_SCENARIO_DIR, folder.path() / "scenarios");
+  fs::copy(GODWIT_MODEL_DIR, folder.path() / "models");
   Daemon daemon(write_config(folder, "[camera]\nsource = \"sim\"\nscenario = \"corridor\"\nscenarios = \"" +
-                                         (folder / "scenarios") +
-                                         "\"\npictures = 2\n"
+                                         (folder / "scenarios") + "\"\npictures = 2\n[detector]\nmodel = \"" +
+                                         (folder / "models/cbam_yolov5n_416.onnx") +
+                                         "\"\n"
                                          "[threads]\nlock_memory = true\n[threads.camera]\npriority = 60\n"
                                          "[threads.tracker]\npriority = 50\n[threads.mapper]\npriority = 10\n"),
                 true);
@@ -188,6 +190,41 @@ TEST(Godwitd, WithPrivilegesItDoesNotWarn) {
   rt::TimeNs took = 0;
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
   EXPECT_THAT(daemon.all(), Not(HasSubstr("warning")));
+}
+
+TEST(Godwitd, FindsPeopleInFlightAndSaysSo) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder,
+                             "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\nscenarios = "
+                             "\"" GODWIT_SCENARIO_DIR "\"\npictures = 2\n[detector]\nbackend = \"cuda\"\n"));
+  ASSERT_TRUE(daemon.says("armed")) << daemon.all();
+  EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
+  ASSERT_TRUE(daemon.says("detections come")) << daemon.all();
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+  EXPECT_THAT(daemon.all(), testing::ContainsRegex("detector: [1-9][0-9]* detections, 0 failed, "));
+  EXPECT_THAT(daemon.all(), HasSubstr("thread detector: "));
+}
+
+TEST(Godwitd, WithoutTheNetworkItFliesAsToldAndDoesNotSpeakOfIt) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder, kSmallFlight + "[detector]\nenabled = false\nmodel = \"/nowhere.onnx\"\n"));
+  ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+  EXPECT_THAT(daemon.all(), Not(HasSubstr("detect")));
+}
+
+TEST(Godwitd, ABrokenNetworkIsNotFlownWithout) {
+  const test::TempFolder folder;
+  std::ofstream(folder.path() / "own.onnx") << "no network";
+  std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_320.toml", folder.path() / "own.toml");
+  const std::string config =
+      write_config(folder, kSmallFlight + "[detector]\nmodel = \"" + (folder / "own.onnx") + "\"\n");
+  const auto [said, code] = run(GODWIT_DAEMON " --config " + config);
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(said, HasSubstr((folder / "own.onnx") + ": "));
+  EXPECT_THAT(said, Not(HasSubstr("armed")));
 }
 
 TEST(Godwitd, RefusesToStartWithAllThatIsWrong) {
@@ -235,6 +272,29 @@ TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
     EXPECT_EQ(code, 2) << program;
     EXPECT_THAT(said, HasSubstr(config + ":7: link.state_folder: \"/nowhere\" is not there or no folder"));
   }
+}
+
+TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
+  const test::TempFolder folder;
+  const std::string own = folder / "own.onnx";
+  std::ofstream(own) << "no network";
+  const auto told = [&](const std::string& section, const std::string& words) {
+    const std::string config = write_config(folder, kSmallFlight + "[detector]\n" + section);
+    for (const char* program : {GODWIT_TOOL " check", GODWIT_DAEMON}) {
+      const auto [said, code] = run(std::string(program) + " --config " + config);
+      EXPECT_EQ(code, 2) << program;
+      EXPECT_THAT(said, HasSubstr(config + words));
+    }
+  };
+  told("model = \"/nowhere.onnx\"\n",
+       ":7: detector.model: /nowhere.onnx: No such file or directory; without a network: detector.enabled = false");
+  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ": cannot be opened");
+  told("small_model = \"/\"\n", ":7: detector.small_model: /: no file");
+  std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.toml", folder.path() / "own.toml");
+  told("small_model = \"" + own + "\"\n",
+       ":7: detector.small_model: " + own + ": its input of 416 pixels is not smaller");
+  std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
+  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":11: unknown key size");
 }
 
 TEST(GodwitCheck, SaysOkAndShowsEveryKey) {

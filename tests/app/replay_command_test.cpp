@@ -231,6 +231,25 @@ TEST_F(Replay, ABadConfigurationIsRefusedWithAllItsMistakes) {
   EXPECT_EQ(replay("--sequential --config '" + (folder_ / "good.toml") + "'").exit_code, 0);
 }
 
+TEST_F(Replay, AgainstMoversTheFileSaysWhatAndAFlagWins) {
+  const auto with = [&](const std::string& text, const std::string& flags) {
+    write_file(folder_ / "c.toml", text);
+    return replay("--sequential --config '" + (folder_ / "c.toml") + "' " + flags);
+  };
+  const std::string broken = "[detector]\nenabled = true\nmodel = \"nosuch.onnx\"\n";
+  const Outcome file = with(broken, "");
+  EXPECT_EQ(file.exit_code, 2) << "the file turns the network on";
+  EXPECT_THAT(file.text, HasSubstr("nosuch.onnx: no such file"));
+  EXPECT_EQ(with(broken, "--detector off").exit_code, 0) << "a flag wins";
+  const std::string unsaid = "[detector]\nmodel = \"nosuch.onnx\"\n";
+  EXPECT_EQ(with(unsaid, "").exit_code, 0) << "what the file does not say is off";
+  EXPECT_EQ(with(unsaid, "--detector on").exit_code, 2);
+  const Outcome own = with("[detector]\nenabled = true\n", "--model other.onnx");
+  EXPECT_EQ(own.exit_code, 2);
+  EXPECT_THAT(own.text, HasSubstr("other.onnx: no such file"));
+  EXPECT_EQ(with("[gate]\nenabled = true\n", "--gate off").exit_code, 0);
+}
+
 TEST_F(Replay, TooFewSlotsToFlyAreRefusedAndTheFewestAllowedEnd) {
   write_file(folder_ / "c.toml", "[pipeline]\nframe_slots = 8\n");
   const Outcome few = replay("--config '" + (folder_ / "c.toml") + "'");

@@ -227,6 +227,17 @@ TEST(Scheduler, FramesThatAreNotTrackedSayNothingOfTheTrackersCost) {
   EXPECT_EQ(scheduler.tracker_p95_ns(), 28 * kMs / 10) << "of 0.0 to 2.9 ms";
 }
 
+TEST(Scheduler, ADetectionWithoutAMaskIsCountedAndMakesNoMaskYounger) {
+  Scheduler scheduler(with_detector());
+  ASSERT_TRUE(scheduler.order(kFrame, true));
+  scheduler.detection_done(2 * kFrame, kFrame, false);
+  ASSERT_TRUE(scheduler.order(10 * kFrame, true));
+  scheduler.detection_done(11 * kFrame, 10 * kFrame, true);
+  EXPECT_EQ(scheduler.counters().detections, 2u);
+  EXPECT_EQ(scheduler.counters().detections_failed, 1u);
+  EXPECT_EQ(scheduler.mask_age_ns(12 * kFrame), 11 * kFrame);
+}
+
 TEST(Scheduler, CountsEveryFrameAndEveryChangeOnce) {
   Flown f(with_detector());
   std::mt19937 random(2);

@@ -140,6 +140,23 @@ TEST(Fault, ADetectorThatHangsForTenSecondsIsGivenUpOnAndTrackingGoesOn) {
   EXPECT_EQ(f.odometry.pool->exhausted(), 0u) << "it holds one slot, not all";
 }
 
+TEST(Fault, ANetworkThatFailsForAWhileIsToldOnceAndSoIsItsReturn) {
+  struct Failing final : DetectorStage {
+    int calls = 0;
+    bool detect(const DetectorJob&) override { return ++calls <= 2 || calls > 5; }
+  } detector;
+  FaultFlight f(90, true);
+  f.pipeline.detector = &detector;
+  const PipelineCounters c = f.fly();
+  ASSERT_GT(detector.calls, 6) << "else there was no return";
+  std::vector<std::string> told_of;
+  for (const rt::LogEntry& e : f.notes.events) {
+    if (std::string(e.what).starts_with("detections")) told_of.emplace_back(e.what);
+  }
+  EXPECT_EQ(told_of, (std::vector<std::string>{"detections come", "detections fail", "detections come"}));
+  EXPECT_EQ(c.scheduler.detections_failed, 3u);
+}
+
 TEST(Fault, AMapperThatStallsForTwoSecondsStopsNobody) {
   struct Stalling final : FrameStage {
     FrameStage* good = nullptr;

@@ -1,0 +1,75 @@
+#include "firmware_app/pipeline/assembly.h"
+
+#include <algorithm>
+
+#include "firmware_app/dynamic/model_files.h"
+#include "firmware_app/pipeline/odometry_stage.h"
+
+namespace godwit::app {
+namespace {
+
+/// Frames that the detector may hold: the one it looks at, and the next.
+constexpr int kDetectorSlots = 2;
+
+rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const hal::CameraCalibration& calibration) {
+  rt::FramePool::Layout layout;
+  layout.width = calibration.width;
+  layout.height = calibration.height;
+  layout.pyramid_bytes = odometry_pyramid_bytes(layout.width, layout.height);
+  layout.slots = config.pipeline.frame_slots;
+  if (layout.slots == 0) layout.slots = odometry_frame_slots();
+  if (layout.slots < odometry_frame_slots_min()) {
+    return rt::Error{"pipeline.frame_slots: " + std::to_string(layout.slots) +
+                     " are too few to fly with; 0 or at least " + std::to_string(odometry_frame_slots_min()) +
+                     " are allowed"};
+  }
+  layout.readers = kFrameReaders;
+  if (config.detector.enabled) {
+    layout.readers = kFrameReadersWithDetector;
+    layout.slots = std::min(layout.slots + kDetectorSlots, rt::kMaxFrameSlots);
+    layout.colour = calibration.channels == 3;
+  }
+  return rt::FramePool::create(layout);
+}
+
+rt::Result<std::unique_ptr<DynamicMasks>> open_masks(const Config::Detector& config, const rt::FramePool* pool) {
+  const ModelFiles files = model_files(config);
+  DynamicMasksOptions options;
+  options.model = files.large;
+  options.small_model = files.small;
+  options.detector = detector_options(config);
+  return DynamicMasks::open(options, pool);
+}
+
+}  // namespace
+
+void Assembly::plan_detector(PipelineOptions* options) const {
+  options->detector = dynamic.get();
+  if (dynamic == nullptr) return;
+  options->scheduler.input_px = dynamic->input_px();
+  options->scheduler.small_input_px = dynamic->small_input_px();
+}
+
+rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration& calibration,
+                              const AssemblyPlan& plan) {
+  const auto model = make_camera_model(calibration);
+  if (!model)
+    return rt::Error{(plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") + model.error().message};
+  auto pool = make_pool(config, calibration);
+  if (!pool) return pool.error();
+  Assembly out;
+  out.pool = std::move(pool).value();
+  if (config.detector.enabled) {
+    auto opened = open_masks(config.detector, out.pool.get());
+    if (!opened) return opened.error();
+    out.dynamic = std::move(opened).value();
+  }
+  OdometryOptions odometry = odometry_options(calibration);
+  if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
+  odometry.gate = config.gate.enabled;
+  MaskSource* const masks = plan.masks != nullptr ? plan.masks : out.dynamic.get();
+  out.stage = make_odometry_stage(model.value(), odometry, out.pool.get(), masks, plan.view);
+  return out;
+}
+
+}  // namespace godwit::app
