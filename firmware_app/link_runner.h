@@ -51,7 +51,7 @@ class LinkRunner final : public FrameTap {
   /// Tracker thread.
   void imu_silent(bool silent) override { imu_ok_.store(!silent, std::memory_order_relaxed); }
   /// Tracker thread.
-  void detector_hangs(bool hangs) override { detector_ok_.store(!hangs, std::memory_order_relaxed); }
+  void detector_failed(bool failed) override { detector_ok_.store(!failed, std::memory_order_relaxed); }
   /// Tracker thread: it lives, and the camera is silent.
   void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override;
   /// One thread: what the autopilot told, oldest first.

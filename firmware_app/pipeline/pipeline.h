@@ -47,8 +47,8 @@ class FrameTap {
   virtual void no_picture(rt::TimeNs /*now_ns*/, rt::TimeNs /*t_last_capture_ns*/) {}
   /// The same thread and rules: the inertial sensor fell silent, or is heard again.
   virtual void imu_silent(bool /*silent*/) {}
-  /// The same thread and rules: a detection does not end, or has after all.
-  virtual void detector_hangs(bool /*hangs*/) {}
+  /// The same thread and rules: a detection does not end or gives no mask, or masks come again.
+  virtual void detector_failed(bool /*failed*/) {}
 };
 /// A camera that sends nothing for longer is called silent.
 constexpr rt::TimeNs kSilenceNs = 200 * rt::kNsPerMs;

@@ -276,8 +276,10 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
     events_->say({record.t_capture_ns, detector_stuck_ ? rt::LogLevel::kWarning : rt::LogLevel::kInfo,
                   detector_stuck_ ? "detector hangs" : "detector is back", "", "age of the mask [s]",
                   rt::to_seconds(scheduler_.mask_age_ns(record.t_done_ns)), 0});
-    if (options_.tap != nullptr) options_.tap->detector_hangs(detector_stuck_);
   }
+  const bool failed = detector_stuck_ || masks_state_ == MasksState::kFailing;
+  if (failed != detector_failed_ && options_.tap != nullptr) options_.tap->detector_failed(failed);
+  detector_failed_ = failed;
   const auto order = scheduler_.order(record.t_done_ns, record.is_keyframe);
   if (order && jobs_.try_push({handle, order->deadline_ns, order->input_px, record.is_keyframe})) {
     detector_wake_.post();

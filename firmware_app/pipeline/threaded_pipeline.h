@@ -130,6 +130,7 @@ class ThreadedPipeline {
   rt::TimeNs t_heard_ns_ = 0;         ///< when it came, or when the run began
   bool silent_ = false;
   bool detector_stuck_ = false;
+  bool detector_failed_ = false;  ///< as told: stuck, or without masks
   MasksState masks_state_ = MasksState::kNone;
   std::optional<rt::TimeNs> t_imu_ns_;  ///< of the newest sample, or when it was first looked for
   rt::TimeNs t_imu_lost_ns_ = 0;        ///< the same when it was called silent

@@ -16,6 +16,7 @@ const char* rung_reason_name(RungReason reason) {
 }
 
 bool Scheduler::useful(Rung rung) const {
+  if (rung == Rung::kSmallInput) return options_.detector && options_.small_input_px < options_.input_px;
   return options_.detector || rung == Rung::kFull || rung == Rung::kFewFeatures;
 }
 

@@ -57,7 +57,7 @@ TEST_F(LinkRunnerTest, ATrackerThatHangsIsNamed) {
 
 TEST_F(LinkRunnerTest, SensorAndDetectorAreNamedAndAreNoErrorOfTheirs) {
   runner_->imu_silent(true);
-  runner_->detector_hangs(true);
+  runner_->detector_failed(true);
   for (int i = 0; i < 40; ++i) frame();
   const auto condition = last_condition();
   EXPECT_EQ(condition.reasons & (link::kImuFailed | link::kDetectorFailed), link::kImuFailed | link::kDetectorFailed);

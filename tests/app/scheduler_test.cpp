@@ -227,6 +227,19 @@ TEST(Scheduler, FramesThatAreNotTrackedSayNothingOfTheTrackersCost) {
   EXPECT_EQ(scheduler.tracker_p95_ns(), 28 * kMs / 10) << "of 0.0 to 2.9 ms";
 }
 
+TEST(Scheduler, WithOneNetworkThereIsNoSmallerInputToStepTo) {
+  SchedulerOptions options = with_detector();
+  options.small_input_px = options.input_px;
+  Flown f(options);
+  f.tracker = [](const SchedulePlan& p) { return p.rung == Rung::kFull ? 20 * kMs : 5 * kMs; };
+  f.fly(20 * rt::kNsPerSecond);
+  ASSERT_FALSE(f.changes.empty());
+  EXPECT_EQ(f.changes[0].from, Rung::kFull);
+  EXPECT_EQ(f.changes[0].to, Rung::kLongPeriod);
+  for (const RungChange& c : f.changes) EXPECT_NE(c.to, Rung::kSmallInput);
+  EXPECT_GT(f.scheduler.counters().steps_up, 0u) << "nor on the way up";
+}
+
 TEST(Scheduler, ADetectionWithoutAMaskIsCountedAndMakesNoMaskYounger) {
   Scheduler scheduler(with_detector());
   ASSERT_TRUE(scheduler.order(kFrame, true));

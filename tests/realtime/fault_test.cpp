@@ -55,9 +55,9 @@ class Told final : public FrameTap {
     longest_ns.store(std::max(longest_ns.load(), now_ns - t_last_capture_ns));
   }
   void imu_silent(bool silent) override { imu_told.fetch_add(silent ? 1 : 100); }
-  void detector_hangs(bool hangs) override { detector_told.fetch_add(hangs ? 1 : 100); }
+  void detector_failed(bool failed) override { detector_told.fetch_add(failed ? 1 : 100); }
   std::atomic<int> imu_told{0};       ///< each silence 1, each end of one 100
-  std::atomic<int> detector_told{0};  ///< each time it hangs 1, each time it is back 100
+  std::atomic<int> detector_told{0};  ///< each time it fails 1, each time it is back 100
   std::atomic<int> silences{0};
   std::atomic<rt::TimeNs> longest_ns{0};
 
@@ -155,6 +155,7 @@ TEST(Fault, ANetworkThatFailsForAWhileIsToldOnceAndSoIsItsReturn) {
   }
   EXPECT_EQ(told_of, (std::vector<std::string>{"detections come", "detections fail", "detections come"}));
   EXPECT_EQ(c.scheduler.detections_failed, 3u);
+  EXPECT_EQ(f.told.detector_told.load(), 101) << "the autopilot hears of it";
 }
 
 TEST(Fault, AMapperThatStallsForTwoSecondsStopsNobody) {
