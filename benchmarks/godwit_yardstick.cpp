@@ -1,21 +1,15 @@
 // godwit-yardstick SEQUENCE: the tracker's cost in units that do not depend on the machine.
 //
-// The yardstick Y is the median thread CPU time of one cv::calcOpticalFlowPyrLK of 180 corners between two successive
-// frames (goodFeaturesToTrack(180, 0.01, 15) on the earlier one; window 21 x 21, three pyramid levels above the
-// picture, at most 30 iterations or a step below 0.01 px; pyramids built inside; one thread). Yardstick and tracker are
-// timed in turn, frame by frame, so that both see the same machine. Decoding, corner choice and copies lie outside both
-// times.
+// Decoding, corner choice and copies lie outside both times. What Y is: benchmarks/yardstick.h.
 #include <CLI/App.hpp>
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
 #include <fmt/format.h>
-#include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 #include <vector>
 
+#include "benchmarks/yardstick.h"
 #include "firmware_app/config.h"
-#include "firmware_app/output/statistics.h"
 #include "firmware_app/pipeline/feeder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/threaded_pipeline.h"
@@ -24,26 +18,6 @@
 namespace {
 
 using namespace godwit;
-
-constexpr int kCorners = 180;
-
-/// Thread CPU time [ms] of the flow from the earlier to the later picture; below 0 if the earlier one has no corners.
-double time_yardstick(const cv::Mat& earlier, const cv::Mat& later) {
-  std::vector<cv::Point2f> corners, found;
-  cv::goodFeaturesToTrack(earlier, corners, kCorners, 0.01, 15);
-  if (corners.empty()) return -1;
-  std::vector<unsigned char> status;
-  std::vector<float> error;
-  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 30, 0.01);
-  const rt::TimeNs begin = rt::thread_cpu_now_ns();
-  cv::calcOpticalFlowPyrLK(earlier, later, corners, found, status, error, cv::Size(21, 21), 3, criteria);
-  return rt::to_ms(rt::thread_cpu_now_ns() - begin);
-}
-
-void print_row(const char* name, const app::Statistics& s, double y) {
-  fmt::print("{:24s} {:8.3f} {:8.3f} {:8.3f} {:8.3f} {:8.3f}   {:6.2f} {:6.2f} {:6.2f} {:6.2f}\n", name, s.median,
-             s.p95, s.p99, s.max, s.mean, s.median / y, s.p95 / y, s.p99 / y, s.mean / y);
-}
 
 int run(const std::string& sequence, const hal::ReplayOptions& replay) {
   auto camera = hal::ReplayCamera::open(sequence, replay);
@@ -87,7 +61,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
     const rt::MutableImageView grey = pool.value()->grey(handle.slot);
     cv::Mat(grey.height, grey.width, CV_8UC1, grey.data, static_cast<std::size_t>(grey.stride)).copyTo(later);
     if (!earlier.empty()) {
-      const double ms = time_yardstick(earlier, later);
+      const double ms = bench::time_yardstick(earlier, later);
       if (ms >= 0) yardstick.push_back(ms);
     }
     app::track_frame(stage.get(), handle, &record);
@@ -107,15 +81,14 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
     fmt::print(stderr, "godwit-yardstick: {}: {} frames, {} tracked: nothing to compare\n", sequence, frames, tracked);
     return 1;
   }
-  const app::Statistics y = app::statistics_of(yardstick);
+  const double y = app::statistics_of(yardstick).median;
   fmt::print("{} frames, {} tracked ({:.2f} %); thread CPU time, tracked frames only\n", frames, tracked,
              100.0 * tracked / frames);
-  fmt::print("{:24s} {:>8s} {:>8s} {:>8s} {:>8s} {:>8s}   {:>6s} {:>6s} {:>6s} {:>6s}\n", "[ms | in Y]", "median",
-             "p95", "p99", "max", "mean", "median", "p95", "p99", "mean");
-  print_row("yardstick (Y = median)", y, y.median);
-  print_row("tracking", app::statistics_of(tracking), y.median);
-  print_row("mapping", app::statistics_of(mapping), y.median);
-  print_row("tracking and mapping", app::statistics_of(both), y.median);
+  bench::print_heading();
+  bench::print_row("yardstick (Y = median)", yardstick, y);
+  bench::print_row("tracking", tracking, y);
+  bench::print_row("mapping", mapping, y);
+  bench::print_row("tracking and mapping", both, y);
   return 0;
 }
 
