@@ -1,0 +1,73 @@
+// From boxes to masks as the tracker thread sees it.
+#include "firmware_app/dynamic/dynamic_masks.h"
+
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr int kWidth = 320, kHeight = 240;
+
+/// A texture that moves to the right.
+void draw(const rt::MutableImageView& grey, int time) {
+  for (int y = 0; y < grey.height; ++y)
+    for (int x = 0; x < grey.width; ++x)
+      grey.row(y)[x] = static_cast<std::uint8_t>(128 + 60 * std::sin(0.21 * (x - 3 * time) + 0.05 * y) +
+                                                 40 * std::cos(0.17 * y - 0.03 * x));
+}
+
+TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
+  rt::FramePool::Layout layout;
+  layout.width = kWidth;
+  layout.height = kHeight;
+  layout.slots = 2;
+  layout.readers = 1;
+  auto pool = rt::FramePool::create(layout);
+  ASSERT_TRUE(pool) << pool.error().message;
+  DynamicMasksOptions options;
+  options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
+  options.detector.decode.score_threshold = 1e-5F;  // boxes of anything
+  auto opened = DynamicMasks::open(options, pool.value().get());
+  ASSERT_TRUE(opened) << opened.error().message;
+  DynamicMasks* const masks = opened.value().get();
+
+  constexpr int kPeriod = 10, kLate = 3;
+  int slot = pool.value()->acquire(), looked_at = pool.value()->acquire();
+  ASSERT_GE(looked_at, 0);
+  rt::FrameMeta meta, looked_at_meta;
+  int masked_frames = 0;
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  for (int frame = 0; frame < 100; ++frame) {
+    meta.t_capture_ns = (frame + 1) * 33 * rt::kNsPerMs;
+    draw(pool.value()->grey(slot), frame);
+    // As on a thread of its own: may allocate, and comes late.
+    if (frame >= kLate && frame % kPeriod == kLate) {
+      EXPECT_TRUE(masks->detect({.frame = {looked_at, looked_at_meta}}));
+    }
+    rt::MaskPyramidView mask;
+    {
+      const rt::RtScope scope;
+      mask = masks->mask_for(meta, pool.value()->grey(slot));
+    }
+    ASSERT_EQ(mask.levels, rt::kPyramidLevels);
+    const rt::ImageView& coarse = mask.level[static_cast<std::size_t>(mask.levels - 1)];
+    bool any = false;
+    for (int y = 0; y < coarse.height; ++y)
+      for (int x = 0; x < coarse.width; ++x) any |= coarse.row(y)[x] != 0;
+    if (frame > kLate) masked_frames += any;
+    if (frame % kPeriod == 0) {
+      std::swap(slot, looked_at);
+      looked_at_meta = meta;
+    }
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  EXPECT_EQ(rt::rt_heap_counts().frees, before.frees);
+  EXPECT_GT(masked_frames, 50) << "boxes must have come, or nothing was tried";
+}
+
+}  // namespace
+}  // namespace godwit::app

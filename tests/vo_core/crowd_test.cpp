@@ -1,0 +1,382 @@
+// Tracker and mapper between movers who hide most of the picture, on rendered pictures with exact truth. Each mechanism
+// is proved by the same flight without it, which must go otherwise.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <gtest/gtest.h>
+#include <map>
+#include <memory>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "tests/vo_core/synthetic_scene.h"
+#include "vo_core/mapper.h"
+#include "vo_core/tracker.h"
+
+namespace godwit::vo {
+namespace {
+
+constexpr rt::TimeNs kFrameNs = 33'333'333;
+/// So many pictures without movers begin each flight.
+constexpr int kFree = 30;
+
+/// Sees the same at any size.
+CameraModel camera_of(int width) {
+  return CameraModel::pinhole_radtan(width, width * 3 / 4, 0.8 * width, 0.8 * width, 0.5 * width, 0.375 * width, {})
+      .value();
+}
+const CameraModel& small_camera() {
+  static const CameraModel camera = camera_of(320);
+  return camera;
+}
+
+/// A sideways sweep with a gentle turn.
+SE3 sweep(int i) {
+  const double s = 0.02 * i;
+  return SE3::exp((Vec6() << -s, 0.12 * std::sin(2.0 * s), 0.05 * std::sin(3.0 * s), 0, 0.06 * s, 0).finished());
+}
+
+/// A frame of a flight: the sweep's pose number `place`, turned about the optical axis, with two movers over `hidden`
+/// of the picture, of which the mask tells.
+struct Shot {
+  int place = 0;
+  double hidden = 0.0;
+  double roll = 0.0;
+  int missing = 0;  ///< frames that did not come before it
+};
+SE3 pose_of(const Shot& shot) {
+  return SE3(so3_exp(Vec3(0, 0, shot.roll)), Vec3::Zero()) * sweep(shot.place);
+}
+/// A wall and some boards before it.
+const test::SyntheticScene& scene() {
+  static const test::SyntheticScene some = [] {
+    test::SyntheticScene out;
+    const test::SyntheticScene all = test::SyntheticScene::general();
+    for (std::size_t i = 0; i < all.boards.size(); i += 3) out.boards.push_back(all.boards[i]);
+    return out;
+  }();
+  return some;
+}
+/// The shot's picture without movers.
+const test::Picture& street(const CameraModel& camera, const Shot& shot) {
+  static std::map<std::tuple<int, int, double>, test::Picture> all;
+  const std::tuple<int, int, double> key(camera.width(), shot.place, shot.roll);
+  auto known = all.find(key);
+  if (known == all.end()) known = all.emplace(key, scene().render(camera, pose_of(shot))).first;
+  return known->second;
+}
+
+std::vector<Shot> shots(std::initializer_list<std::tuple<int, int, double>> parts) {
+  std::vector<Shot> out;
+  for (const auto& [first, last, hidden] : parts)
+    for (int i = first; i <= last; ++i) out.push_back({i, hidden});
+  return out;
+}
+
+/// One frame's memory: the picture with its movers, the pyramid behind it, the mask.
+struct Seen {
+  Seen(const CameraModel& camera, const Shot& shot, int time)
+      : width(camera.width()), height(camera.height()), mask(width, height) {
+    const std::size_t pixels = static_cast<std::size_t>(width * height);
+    const std::size_t extra = pyramid_bytes(width, height, rt::kPyramidLevels);
+    bytes.resize(pixels + extra + 4 * rt::kRowAlignment);
+    data = bytes.data();
+    while (reinterpret_cast<std::uintptr_t>(data) % rt::kRowAlignment != 0) ++data;
+    std::copy_n(street(camera, shot).view().data, pixels, data);
+    const int each = static_cast<int>(0.5 * shot.hidden * width);
+    if (each > 0) {
+      // One walks to the right, one to the left, and back again.
+      const double way = std::abs(std::fmod(0.02 * time, 2.0) - 1.0);
+      const int left = static_cast<int>((0.5 * width - each) * way);
+      put_mover(left, each, 71, time);
+      put_mover(width - each - left, each, 72, -time);
+    }
+    input.grey = {data, width, height, width};
+    input.pyramid_storage = data + pixels;
+    input.pyramid_bytes = extra;
+    input.mask = mask.view();
+    input.slot = time;
+    input.sequence = static_cast<std::uint32_t>(time);
+    input.t_capture_ns = time * kFrameNs;
+  }
+  void put_mover(int x0, int wide, std::uint32_t clothes, int time) {
+    const double cell = 32.0 / width;
+    for (int y = 0; y < height; ++y)
+      for (int x = x0; x < std::min(x0 + wide, width); ++x)
+        data[y * width + x] =
+            static_cast<std::uint8_t>(230.0 * test::texture(cell * (x - x0) + time, cell * y, clothes));
+    mask.add_rectangle(x0, 0, x0 + wide, height);
+  }
+
+  int width, height;
+  std::vector<std::uint8_t> bytes;
+  std::uint8_t* data = nullptr;
+  test::Mask mask;
+  FrameInput input;
+};
+
+struct Flight {
+  std::vector<FrameResult> frames;
+  std::vector<int> points, keyframes;
+};
+
+Flight fly(const std::vector<Shot>& shots, TrackerOptions options = {}, const CameraModel& camera = small_camera()) {
+  options.delta_delay_frames = 2;
+  const auto channel = std::make_unique<MapChannel>();
+  Tracker tracker(camera, options, channel.get());
+  Mapper mapper(camera, MapperOptions{}, channel.get());
+  std::vector<std::unique_ptr<Seen>> memory;  // each frame has its own: none need be given back
+  Flight out;
+  int time = -1;
+  for (const Shot& shot : shots) {
+    time += 1 + shot.missing;
+    memory.push_back(std::make_unique<Seen>(camera, shot, time));
+    out.frames.push_back(tracker.track(memory.back()->input));
+    while (mapper.step()) {
+    }
+    SlotRelease release;
+    while (tracker.take_release(&release)) {
+    }
+    while (mapper.take_release(&release)) {
+    }
+    out.points.push_back(tracker.map().point_count());
+    out.keyframes.push_back(tracker.map().keyframe_count());
+  }
+  return out;
+}
+
+bool weak(const FrameResult& r) {
+  return std::string(r.reason) == "a pose of few features, not counted";
+}
+
+/// More measurements than a third of the picture hidden leaves, fewer than the free picture gives: of so many a
+/// tracker in these tests demands that they count. Found by a flight, so that the tests do not hang on how many
+/// features godwit takes.
+int few() {
+  static const int limit = [] {
+    const Flight f = fly(shots({{0, kFree - 1, 0.0}}));
+    return f.frames.back().measurements * 8 / 10;
+  }();
+  return limit;
+}
+
+/// The flight's world in units of the truth: the factor by which the tracked frames before `end` fit it best.
+double scale_of(const Flight& flight, const std::vector<Shot>& shots, std::size_t end) {
+  double num = 0, den = 0;
+  for (std::size_t i = 0; i < end; ++i) {
+    if (!flight.frames[i].tracked) continue;
+    num += (sweep(0) * pose_of(shots[i]).inverse()).t.dot(flight.frames[i].T_world_cam.t);
+    den += flight.frames[i].T_world_cam.t.squaredNorm();
+  }
+  return num / den;
+}
+/// How far frame i is off, in units of the truth (the scene is two to six of them away).
+double off_by(const Flight& flight, const std::vector<Shot>& shots, std::size_t i, double scale) {
+  return (scale * flight.frames[i].T_world_cam.t - (sweep(0) * pose_of(shots[i]).inverse()).t).norm();
+}
+
+TEST(Crowd, FewButSureFeaturesCarryOnWithoutBeingTold) {
+  const auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 9, 0.6}, {kFree + 10, kFree + 11, 0.0}});
+  TrackerOptions options;
+  options.health.min_measurements = few();
+  const Flight flight = fly(order, options);
+  const FrameResult& before = flight.frames[kFree - 1];
+  ASSERT_TRUE(before.tracked);
+  const double scale = scale_of(flight, order, kFree);
+  for (std::size_t i = kFree; i < kFree + 10; ++i) {
+    const FrameResult& r = flight.frames[i];
+    EXPECT_FALSE(r.tracked) << i;
+    EXPECT_EQ(r.state, State::kRelocalising) << i;
+    // The movers come from nowhere: in the first picture with them the pose may have to be sought.
+    EXPECT_TRUE(weak(r) || i == kFree) << i << ": " << r.reason;
+    EXPECT_LT(r.measurements, few()) << i;
+    EXPECT_EQ(r.map_id, before.map_id) << i;
+    EXPECT_GE(flight.points[i], flight.points[kFree - 1] / 2) << i;
+  }
+  EXPECT_GE(flight.keyframes[kFree + 9], flight.keyframes[kFree - 1]);
+  // The chain has held: the first free picture counts at once, and in the right place.
+  EXPECT_TRUE(flight.frames[kFree + 10].tracked) << flight.frames[kFree + 10].reason;
+  EXPECT_EQ(flight.frames[kFree + 10].map_id, before.map_id);
+  EXPECT_LT(off_by(flight, order, kFree + 10, scale), 0.05);
+
+  // Without it nothing is believed between the movers, and after them the pose must be sought first.
+  options.weak_frames = 0;
+  const Flight without = fly(order, options);
+  for (std::size_t i = kFree; i < kFree + 10; ++i) EXPECT_FALSE(weak(without.frames[i])) << i;
+  EXPECT_FALSE(without.frames[kFree + 10].tracked);
+}
+
+TEST(Crowd, WeakPosesEndAndOnlyAConvincingOneLetsThemBeginAgain) {
+  // There and back between movers, a few free pictures, and between movers again.
+  const auto order = shots({{0, kFree - 1, 0.0},
+                            {kFree, kFree + 9, 0.6},
+                            {kFree, kFree + 5, 0.6},
+                            {kFree + 6, kFree + 9, 0.0},
+                            {kFree + 4, kFree + 9, 0.6}});
+  constexpr std::size_t kCrowd = kFree, kOpen = kFree + 16, kAgain = kFree + 20;
+  TrackerOptions options;
+  options.health.min_measurements = few();
+  options.weak_frames = 5;
+  const Flight flight = fly(order, options);
+  ASSERT_TRUE(flight.frames[kCrowd - 1].tracked);
+  const std::size_t first = weak(flight.frames[kCrowd]) ? kCrowd : kCrowd + 1;
+  for (std::size_t i = first; i < kOpen; ++i) {
+    EXPECT_EQ(weak(flight.frames[i]), i < first + 5) << i << ": " << flight.frames[i].reason;
+    EXPECT_FALSE(flight.frames[i].tracked) << i;
+    EXPECT_EQ(flight.frames[i].state, State::kRelocalising) << i;
+    EXPECT_EQ(flight.frames[i].map_id, flight.frames[kCrowd - 1].map_id) << i;
+  }
+  ASSERT_TRUE(flight.frames[kAgain - 1].tracked) << "four free pictures convince";
+  EXPECT_EQ(flight.frames[kAgain - 1].map_id, flight.frames[kCrowd - 1].map_id);
+  EXPECT_TRUE(weak(flight.frames[kAgain]) || weak(flight.frames[kAgain + 1]));
+
+  // The same flight without that end: the crowd would have gone on giving weak poses.
+  options.weak_frames = 1000;
+  const Flight endless = fly(order, options);
+  int weak_poses = 0;
+  for (std::size_t i = kCrowd; i < kOpen; ++i) weak_poses += weak(endless.frames[i]);
+  EXPECT_GT(weak_poses, 5);
+}
+
+TEST(Crowd, ALostPoseIsFoundBetweenMoversInTheSameMap) {
+  // No picture comes for longer than a last frame is good for; then the camera is back on its way, rolled, and movers
+  // hide most of what it sees.
+  constexpr std::size_t kLost = 12;
+  std::vector<Shot> order;
+  for (int i = 0; i < static_cast<int>(kLost); ++i) order.push_back({3 * i});
+  for (int i = 0; i < 8; ++i) order.push_back({21 + i / 3, 0.6, -0.25, i == 0 ? 35 : 0});
+  const CameraModel camera = camera_of(640);
+  const Flight flight = fly(order, {}, camera);
+  ASSERT_TRUE(flight.frames[kLost - 1].tracked);
+  const double scale = scale_of(flight, order, kLost);
+  EXPECT_FALSE(flight.frames[kLost].tracked) << "another frame must confirm it";
+  int tracked = 0;
+  for (std::size_t i = kLost; i < order.size(); ++i) {
+    EXPECT_EQ(flight.frames[i].map_id, flight.frames[kLost - 1].map_id) << i;
+    if (!flight.frames[i].tracked) continue;
+    ++tracked;
+    EXPECT_LT(off_by(flight, order, i, scale), 0.05) << i;
+  }
+  EXPECT_GE(tracked, 1);
+
+  // By what the points look like: a tracker that never believes in that finds nothing.
+  TrackerOptions options;
+  options.landmarks.min_agreeing = kMaxFrameFeatures + 1;
+  const Flight without = fly(order, options, camera);
+  for (std::size_t i = kLost; i < order.size(); ++i) EXPECT_FALSE(without.frames[i].tracked) << i;
+}
+
+TEST(Crowd, FewFeaturesBesideSmallMoversAreOnlyFew) {
+  const auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 7, 0.35}});
+  TrackerOptions options;
+  options.health.min_measurements = few();
+  const Flight flight = fly(order, options);
+  ASSERT_TRUE(flight.frames[kFree - 1].tracked);
+  for (std::size_t i = kFree; i < order.size(); ++i) {
+    EXPECT_FALSE(flight.frames[i].tracked) << i;
+    EXPECT_FALSE(weak(flight.frames[i])) << i;
+    EXPECT_EQ(flight.frames[i].state, State::kRelocalising) << i;
+    EXPECT_FALSE(flight.frames[i].is_keyframe) << i;
+    EXPECT_EQ(flight.frames[i].map_id, flight.frames[kFree - 1].map_id) << i;
+  }
+  // It is the share of the picture that makes the difference: a tracker that calls this a crowd carries on.
+  options.crowded = 0.3;
+  EXPECT_TRUE(weak(fly(order, options).frames[kFree]));
+}
+
+struct Made {
+  std::vector<int> points;  ///< in the map after each frame
+  int wrong = 0;            ///< of the last of them, off by a fifth of their depth
+};
+/// A mapper by itself, told the truth: two keyframes of known points, then frames on the way.
+Made points_made(double hidden, int agreeing_matches) {
+  const CameraModel& camera = small_camera();
+  MapperOptions options;
+  options.agreeing_matches = agreeing_matches;
+  options.hungry_shift_px = 0.0;  // or small motion alone would be enough
+  const auto channel = std::make_unique<MapChannel>();
+  Mapper mapper(camera, options, channel.get());
+  constexpr int kStep = 2, kPoints = 40;
+  std::array<Vec3, kPoints> points;
+  std::vector<std::unique_ptr<Seen>> memory;
+  Made made;
+  for (int i = -1; i < 12; ++i) {
+    MapperMessage* m = channel->messages.claim();
+    if (m == nullptr) ADD_FAILURE() << "the mapper does not give messages back";
+    if (m == nullptr) break;
+    m->epoch = 1;
+    m->kind = i < 0 ? MessageKind::kReset : i < 2 ? MessageKind::kKeyframe : MessageKind::kFrame;
+    if (i >= 0) {
+      const Shot shot{kStep * i, hidden};
+      memory.push_back(std::make_unique<Seen>(camera, shot, i));
+      const FrameInput& in = memory.back()->input;
+      m->sequence = in.sequence;
+      m->slot = in.slot;
+      m->pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
+      m->t_capture_ns = in.t_capture_ns;
+      m->T_cam_world = pose_of(shot);
+      m->tracked_features = 110;  // not few: it is the crowd that makes hungry
+      m->median_depth = 3.5;
+      m->min_depth = 1.0;
+      m->mask.assign(in.mask);
+      m->keyframe_id = static_cast<std::uint32_t>(i + 1);
+      m->keyframe_place = i;
+      m->initial = true;
+      m->feature_count = m->weak_count = 0;
+      for (int k = 0; i < 2 && k < kPoints; ++k) {
+        Vec3& p = points[static_cast<std::size_t>(k)];
+        if (i == 0) {
+          const Vec2 px(20 + 40 * (k % 8), 25 + 45 * (k / 8));
+          const Vec3 bearing = camera.unproject(px);
+          p = pose_of(shot).inverse() * (bearing / bearing.z() * scene().depth(camera, pose_of(shot), px));
+        }
+        Vec2 px;
+        if (!camera.project(pose_of(shot) * p, &px)) continue;
+        FrameFeature& f = m->features[static_cast<std::size_t>(m->feature_count)];
+        f = {};
+        f.px = f.px_global = px.cast<float>();
+        f.point = {static_cast<std::uint16_t>(k), 0};
+        m->initial_points[static_cast<std::size_t>(m->feature_count++)] = p.cast<float>();
+      }
+    }
+    channel->messages.commit();
+    while (mapper.step()) {
+    }
+    while (channel->deltas.front() != nullptr) channel->deltas.pop();
+    SlotRelease release;
+    while (mapper.take_release(&release)) {
+    }
+    if (i >= 2) made.points.push_back(mapper.map().point_count());
+  }
+  for (int k = 0; k < 2; ++k) {
+    const Keyframe& kf = mapper.map().keyframe(k);
+    for (int i = 0; i < kf.feature_count; ++i) {
+      const MapPoint* p = mapper.map().find(kf.features[static_cast<std::size_t>(i)].point);
+      if (p == nullptr) continue;
+      const double depth = (kf.T_kf_world * p->p_world).z();
+      const Vec2 px = kf.features[static_cast<std::size_t>(i)].px.cast<double>();
+      made.wrong += std::abs(depth - scene().depth(camera, kf.T_kf_world, px)) > 0.2 * depth;
+    }
+  }
+  return made;
+}
+
+TEST(Crowd, MatchesThatAgreeMakeAPointSooner) {
+  const Made with = points_made(0.6, MapperOptions{}.agreeing_matches), without = points_made(0.6, 1 << 20);
+  ASSERT_EQ(with.points.size(), without.points.size());
+  int sooner = 0;
+  for (std::size_t i = 0; i < with.points.size(); ++i) {
+    EXPECT_GE(with.points[i], without.points[i]) << i;
+    sooner = std::max(sooner, with.points[i] - without.points[i]);
+  }
+  EXPECT_GE(sooner, 20) << "in a map of " << with.points.back();
+  // And they are as good.
+  EXPECT_LE(with.wrong, without.wrong + with.points.back() / 20);
+  // Where there is no crowd nothing depends on it.
+  EXPECT_EQ(points_made(0.3, MapperOptions{}.agreeing_matches).points, points_made(0.3, 1 << 20).points);
+}
+
+}  // namespace
+}  // namespace godwit::vo
