@@ -31,6 +31,7 @@ class BoxMotion {
 
   int width_, height_;  ///< of the small picture
   std::vector<std::uint8_t> before_, now_;
+  std::vector<std::uint16_t> columns_;  ///< sums of one row of the small picture
   bool have_before_ = false;
   std::vector<detector::FeatureMotion> motions_;
 };

@@ -50,6 +50,32 @@ TEST(BoxMotion, FollowsWhatIsInsideToAPixelOrTwo) {
   }
 }
 
+TEST(BoxMotion, WhereNothingCanBeSeenToMoveNothingMoves) {
+  BoxMotion motion(kWidth, kHeight);
+  const std::vector<std::uint8_t> grey(static_cast<std::size_t>(kWidth * kHeight), 90);
+  const std::vector<detector::Box> boxes = {box_at(100, 60)};
+  motion.next(view(grey), boxes);
+  const auto moved = motion.next(view(grey), boxes);
+  ASSERT_FALSE(moved.empty());
+  for (const detector::FeatureMotion& m : moved) {
+    EXPECT_EQ(m.x, m.x_before);
+    EXPECT_EQ(m.y, m.y_before);
+  }
+}
+
+TEST(BoxMotion, ABoxHalfOutsideIsFollowedByItsInside) {
+  for (const auto& [x0, dx] : {std::pair(-30.0, 8.0), std::pair(270.0, -8.0)}) {
+    BoxMotion motion(kWidth, kHeight);
+    const auto before = picture(x0, 100), now = picture(x0 + dx, 108);
+    const std::vector<detector::Box> boxes = {box_at(static_cast<float>(x0), 100)};
+    motion.next(view(before), boxes);
+    const auto moved = motion.next(view(now), boxes);
+    ASSERT_FALSE(moved.empty());
+    EXPECT_NEAR(moved[0].x - moved[0].x_before, dx, 1.5);
+    EXPECT_NEAR(moved[0].y - moved[0].y_before, 8.0, 1.5);
+  }
+}
+
 TEST(BoxMotion, BoxesWithoutAPictureInsideAreLeftOut) {
   BoxMotion motion(kWidth, kHeight);
   const auto p = picture(100, 60);
