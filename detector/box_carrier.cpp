@@ -56,7 +56,9 @@ bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) 
   for (const Box& b : boxes) {
     const bool sound = std::isfinite(b.x0) && std::isfinite(b.y0) && std::isfinite(b.x1) && std::isfinite(b.y1) &&
                        b.x0 < b.x1 && b.y0 < b.y1;
-    if (sound && !carried_.push(b)) break;
+    if (!sound) continue;
+    if (!carried_.push(b)) break;
+    cut_[static_cast<std::size_t>(carried_.count - 1)] = cut_off(b);
   }
   for (int i = 0; i < held_; ++i) {
     const Step& step = history_[static_cast<std::size_t>((oldest + i) % kHistory)];
@@ -71,9 +73,23 @@ void BoxCarrier::move_all(const Step& step) {
   const bool stale = seen_ns_ == INT64_MIN || step.t_ns - seen_ns_ > limits_.max_age_ns;
   for (int i = 0; i < carried_.count && !stale; ++i) {
     Box box = carried_.box[static_cast<std::size_t>(i)];
-    if (move_box(step, &box)) carried_.box[static_cast<std::size_t>(kept++)] = box;
+    if (!move_box(step, &box)) continue;
+    // More of what is cut off comes into view.
+    const Edges cut = cut_[static_cast<std::size_t>(i)];
+    if (cut.left) box.x0 = std::min(box.x0, 0.F);
+    if (cut.top) box.y0 = std::min(box.y0, 0.F);
+    if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
+    if (cut.bottom) box.y1 = std::max(box.y1, static_cast<float>(height_));
+    cut_[static_cast<std::size_t>(kept)] = cut;
+    carried_.box[static_cast<std::size_t>(kept++)] = box;
   }
   carried_.count = kept;
+}
+
+BoxCarrier::Edges BoxCarrier::cut_off(const Box& box) const {
+  const float w = static_cast<float>(width_), h = static_cast<float>(height_);
+  const float near_x = limits_.cut_off_share * w, near_y = limits_.cut_off_share * h;
+  return {box.x0<near_x, box.y0<near_y, box.x1> w - near_x, box.y1> h - near_y};
 }
 
 bool BoxCarrier::move_box(const Step& step, Box* box) {

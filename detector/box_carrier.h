@@ -28,6 +28,9 @@ struct CarrierLimits {
   float growth_per_s = 0.5F;                ///< of its side, spread over both edges: uncertainty of what was carried
   float max_growth_share = 0.5F;            ///< of its side
   int fewest_features = 3;                  ///< in the box, to move it by its features
+  /// A box whose edge the detection put this near to the picture's [share of the picture's side] is cut off there:
+  /// as its object comes in, that edge stays at the picture's.
+  float cut_off_share = 0.01F;
 };
 
 /// Holds the boxes of the newest detection and brings them to each new picture. Pure logic; after construction no
@@ -65,8 +68,13 @@ class BoxCarrier {
     int count = 0;
     std::array<FeatureMotion, kMaxFeatures> features;
   };
+  /// Edges of a box at which the picture cuts its object off.
+  struct Edges {
+    bool left = false, top = false, right = false, bottom = false;
+  };
   void move_all(const Step& step);
   bool move_box(const Step& step, Box* box);
+  Edges cut_off(const Box& box) const;
   void show();
 
   int width_, height_;
@@ -74,7 +82,8 @@ class BoxCarrier {
   std::vector<Step> history_;  // a ring; head_ is the next to be written
   int head_ = 0, held_ = 0;
   std::int64_t now_ns_ = INT64_MIN, seen_ns_ = INT64_MIN;
-  BoxList carried_;  // without growth: growth would compound
+  BoxList carried_;                     // without growth: growth would compound
+  std::array<Edges, kMaxBoxes> cut_{};  // of carried_
   BoxList shown_;
   std::array<float, kMaxFeatures> dx_{}, dy_{}, ratio_{};
 };

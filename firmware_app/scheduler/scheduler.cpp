@@ -139,7 +139,9 @@ SchedulePlan Scheduler::plan() const {
 std::optional<DetectorOrder> Scheduler::order(rt::TimeNs now_ns, bool is_keyframe) {
   const SchedulePlan p = plan();
   if (!p.detector_on || ordered_) return std::nullopt;
-  const bool due = t_ordered_ns_ < 0 || now_ns - t_ordered_ns_ >= p.period_ns || is_keyframe;
+  // A frame that comes a little early must not cost a whole one.
+  const rt::TimeNs early = options_.frame_ns / 4;
+  const bool due = t_ordered_ns_ < 0 || now_ns - t_ordered_ns_ >= p.period_ns - early || is_keyframe;
   if (!due) return std::nullopt;
   ordered_ = true;
   t_ordered_ns_ = now_ns;

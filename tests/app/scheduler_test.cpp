@@ -74,6 +74,23 @@ TEST(Scheduler, AFastDetectorKeepsEverythingForHours) {
   EXPECT_NEAR(static_cast<double>(f.scheduler.counters().detections) / f.frames, 1 / 3.0, 0.04);
 }
 
+TEST(Scheduler, AnUnevenCameraDoesNotStretchTheDetectorsPeriod) {
+  // Frames come up to 3 ms early or late: every third is still the one that is looked at.
+  Scheduler scheduler(with_detector());
+  std::mt19937 random(1);
+  std::uniform_int_distribution<rt::TimeNs> jitter(-3 * kMs, 3 * kMs);
+  int detections = 0;
+  constexpr int kFrames = 3000;
+  for (int i = 0; i < kFrames; ++i) {
+    const rt::TimeNs now = rt::kNsPerSecond + i * kFrame + jitter(random);
+    scheduler.frame_done(now, 4 * kMs, 5 * kMs, 0);
+    if (!scheduler.order(now, false)) continue;
+    ++detections;
+    scheduler.detection_done(now + 20 * kMs, now, false);
+  }
+  EXPECT_NEAR(detections, kFrames / 3, kFrames / 100);
+}
+
 TEST(Scheduler, ASlowDetectorGetsTheSmallInputForTheMasksSake) {
   Flown f(with_detector());
   f.detector = [](int px) { return static_cast<rt::TimeNs>(220.0 * kMs * px * px / (416 * 416)); };

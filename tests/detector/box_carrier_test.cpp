@@ -121,6 +121,30 @@ TEST(BoxCarrier, LeavesThePicture) {
   EXPECT_TRUE(carrier.boxes().empty());
 }
 
+TEST(BoxCarrier, WhatThePictureCutsOffComesIntoView) {
+  BoxCarrier carrier(640, 480, no_growth());
+  carrier.advance(0, {}, {});
+  // Half of somebody at the left edge, cut off below as well; another one wholly inside.
+  const Box boxes[] = {{1.F, 100.F, 60.F, 479.F, 0.8F, 0}, {300.F, 100.F, 400.F, 300.F, 0.8F, 0}};
+  carrier.replace(0, boxes);
+  auto features = grid(boxes[0], 20.F, -10.F);
+  const auto other = grid(boxes[1], 20.F, -10.F);
+  features.insert(features.end(), other.begin(), other.end());
+  carrier.advance(kFrame, features, {});
+  ASSERT_EQ(carrier.boxes().size(), 2U);
+  const Box& entering = carrier.boxes()[0];
+  EXPECT_FLOAT_EQ(entering.x0, 0.F) << "more of him is to the left";
+  EXPECT_FLOAT_EQ(entering.y1, 480.F);
+  EXPECT_NEAR(entering.x1, 80.F, 1.F);
+  EXPECT_NEAR(entering.y0, 90.F, 1.F);
+  EXPECT_NEAR(carrier.boxes()[1].x0, 320.F, 1e-3);
+  // A late detection that sees him whole lets go of the edge.
+  const Box whole{30.F, 90.F, 110.F, 470.F, 0.8F, 0};
+  carrier.replace(kFrame, {&whole, 1});
+  carrier.advance(2 * kFrame, grid(whole, 20.F, 0.F), {});
+  EXPECT_NEAR(carrier.boxes()[0].x0, 50.F, 1e-3);
+}
+
 TEST(BoxCarrier, BadInputIsLeftOut) {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   BoxCarrier carrier(640, 480, no_growth());
