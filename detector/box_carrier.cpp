@@ -42,8 +42,26 @@ bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotio
     if (finite(f)) step.features[static_cast<std::size_t>(step.count++)] = f;
   }
   move_all(step);
+  remember(carried_, &step);
   show();
   return true;
+}
+
+void BoxCarrier::remember(const BoxList& boxes, Step* step) {
+  // Only what is used: a list has room for many more.
+  step->boxes.count = boxes.count;
+  std::copy_n(boxes.box.begin(), boxes.count, step->boxes.box.begin());
+}
+
+bool BoxCarrier::boxes_at(std::int64_t t_capture_ns, std::span<const Box>* boxes) const {
+  if (seen_ns_ == INT64_MIN || t_capture_ns < seen_ns_) return false;
+  for (int i = 0; i < held_; ++i) {
+    const Step& step = history_[static_cast<std::size_t>((head_ - 1 - i + kHistory) % kHistory)];
+    if (step.t_ns != t_capture_ns) continue;
+    *boxes = step.boxes.view();
+    return true;
+  }
+  return false;
 }
 
 bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) {
@@ -61,8 +79,10 @@ bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) 
     cut_[static_cast<std::size_t>(carried_.count - 1)] = cut_off(b);
   }
   for (int i = 0; i < held_; ++i) {
-    const Step& step = history_[static_cast<std::size_t>((oldest + i) % kHistory)];
+    Step& step = history_[static_cast<std::size_t>((oldest + i) % kHistory)];
+    if (step.t_ns < t_capture_ns) continue;
     if (step.t_ns > t_capture_ns) move_all(step);
+    remember(carried_, &step);
   }
   show();
   return true;

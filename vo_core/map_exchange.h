@@ -47,7 +47,8 @@ inline KeyframeFeature keyframe_feature(const CameraModel& camera, const FrameFe
 enum class MessageKind : std::uint8_t {
   kReset,    ///< forget everything; the next messages belong to `epoch`
   kFrame,    ///< a tracked frame: update seeds with it
-  kKeyframe  ///< a keyframe: observations, new seeds, bundle adjustment
+  kKeyframe,  ///< a keyframe: observations, new seeds, bundle adjustment
+  kLateMask   ///< what is known by now to have moved in a keyframe: what it took from there goes
 };
 
 /// Tracker -> mapper. Carries one reference to the frame slot; the mapper gives it back.
@@ -65,9 +66,11 @@ struct MapperMessage {
   double min_depth = 0.5;
   CoarseMask mask;  ///< dynamic pixels: no seed begins or matches there
 
-  // Keyframes only:
+  // Keyframes and late masks:
   std::uint32_t keyframe_id = 0;
   int keyframe_place = -1;
+
+  // Keyframes only:
   bool initial = false;  ///< one of the two first keyframes: initial_points gives the positions of the points it names
   int feature_count = 0;
   std::array<FrameFeature, kMaxFrameFeatures> features;

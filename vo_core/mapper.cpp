@@ -70,6 +70,8 @@ bool Mapper::step() {
     handle_reset(*m);
   } else if (m->epoch != epoch_) {
     release(m->slot, 1);
+  } else if (m->kind == MessageKind::kLateMask) {
+    handle_late_mask(*m);
   } else if (m->kind == MessageKind::kFrame) {
     update_seeds(*m);
     release(m->slot, 1);
@@ -117,6 +119,22 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   if (m.keyframe_id > 1) adjust(m.keyframe_place);
   create_seeds(m.keyframe_place, m);
   forget_keyframes(m.keyframe_place);
+}
+
+void Mapper::handle_late_mask(const MapperMessage& m) {
+  const int place = m.keyframe_place;
+  const Keyframe& kf = map_.keyframe(place);
+  if (kf.id != m.keyframe_id) return;  // forgotten meanwhile
+  masks_[static_cast<std::size_t>(place)].assign(m.mask);
+  for (Seed& s : *seeds_)
+    if (s.active && s.place == place && m.mask.masked(s.feature.px)) s.active = false;
+  for (int i = 0; i < kf.feature_count; ++i) {
+    const PointHandle h = kf.features[i].point;
+    if (!map_.find(h) || !m.mask.masked(kf.features[i].px)) continue;
+    remove_observation(place, i);
+    // A box holds much that does not move: what two other keyframes have seen outside of masks stays.
+    if (const MapPoint* p = map_.find(h); p && p->observation_count < 2) remove_point(h);
+  }
 }
 
 Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const {

@@ -80,6 +80,7 @@ class Mapper {
 
   void handle_reset(const MapperMessage& m);
   void handle_keyframe(const MapperMessage& m);
+  void handle_late_mask(const MapperMessage& m);
   void update_seeds(const MapperMessage& m);
   void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world);
   rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);

@@ -115,6 +115,11 @@ class Tracker {
   /// Estimates the pose of one frame. No allocation, bounded, no wait. Frames come in the order of their time.
   FrameResult track(const FrameInput& frame);
 
+  /// The mask of an earlier frame, come late: if the frame is a keyframe, the map loses what that keyframe took from
+  /// inside the mask (DESIGN.md, masks). Between two frames; no allocation, bounded. False: there is no room for the
+  /// message now, try again after the next frame.
+  bool late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask);
+
   /// References to frame slots that the tracker no longer needs. False when there are none.
   bool take_release(SlotRelease* release);
 

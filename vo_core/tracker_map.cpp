@@ -120,6 +120,29 @@ int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   return place;
 }
 
+bool Tracker::late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask) {
+  for (int k = 0; k < kMaxKeyframes; ++k) {
+    const Keyframe& kf = map_->keyframe(k);
+    if (kf.id == 0 || kf.t_capture_ns != t_capture_ns) continue;
+    MapperMessage* m = channel_->messages.claim();
+    if (!m) return false;
+    m->kind = MessageKind::kLateMask;
+    m->epoch = epoch_;
+    m->sequence = frame_counter_;
+    m->slot = -1;
+    m->t_capture_ns = t_capture_ns;
+    m->keyframe_id = kf.id;
+    m->keyframe_place = k;
+    m->mask.assign(mask);
+    channel_->messages.commit();
+    // Nor do movers belong into what the place is recognised by.
+    relocaliser_->add_keyframe(k, kf.id, kf.pyramid, mask);
+    if (kf.id == last_keyframe_id_) keyframe_mask_.assign(mask);
+    return true;
+  }
+  return true;
+}
+
 bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place) {
   MapperMessage* m = channel_->messages.claim();
   if (!m) return false;

@@ -44,6 +44,7 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const rt::FramePo
       small_(std::move(small)),
       carrier_(pool->layout().width, pool->layout().height, carrier_limits()),
       mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
+      late_mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       motion_(pool->layout().width, pool->layout().height) {
   for (std::size_t i = 0; i < large_.info().classes.size(); ++i)
     movable_.push_back(large_.movable(static_cast<int>(i)));
@@ -73,7 +74,10 @@ bool DynamicMasks::detect(const DetectorJob& job) {
 rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) {
   if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
   carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.boxes()), {});
-  if (detections_.read(&newest_)) have_mask_ |= carrier_.replace(newest_.t_capture_ns, newest_.boxes.view());
+  if (detections_.read(&newest_) && carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
+    have_mask_ = true;
+    t_taken_ns_ = frame.t_capture_ns;
+  }
   if (!have_mask_ && frame.t_capture_ns - t_first_ns_ < options_.first_mask_ns) {
     const std::array<detector::Box, 1> all{
         detector::Box{0.F, 0.F, static_cast<float>(grey.width), static_cast<float>(grey.height), 1.F, -1}};
@@ -82,6 +86,15 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
   }
   mask_.update(carrier_.boxes(), movable_);
   return mask_.view();
+}
+
+bool DynamicMasks::late_mask(rt::TimeNs t_capture_ns, rt::MaskPyramidView* mask) {
+  // From the frame with which the detection came in on, masks were made with it.
+  std::span<const detector::Box> boxes;
+  if (t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes)) return false;
+  late_mask_.update(boxes, movable_);
+  *mask = late_mask_.view();
+  return true;
 }
 
 }  // namespace godwit::app

@@ -37,6 +37,7 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   /// Sides of the networks' inputs [px]; the same where there is one network.
   int input_px() const { return large_.info().input_width; }
   int small_input_px() const { return small_ != nullptr ? small_->info().input_width : input_px(); }
+  bool late_mask(rt::TimeNs t_capture_ns, rt::MaskPyramidView* mask) override;
 
   /// What was asked for and could not be had, in words; empty if nothing.
   std::string warning() const;
@@ -59,11 +60,13 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   // Tracker thread's own.
   detector::BoxCarrier carrier_;
   detector::BoxMask mask_;
+  detector::BoxMask late_mask_;
   BoxMotion motion_;
   Detection newest_;
   std::vector<bool> movable_;
   rt::TimeNs t_first_ns_ = 0;
   bool have_mask_ = false;
+  rt::TimeNs t_taken_ns_ = 0;  ///< capture time of the frame with which the newest detection came in
 };
 
 }  // namespace godwit::app

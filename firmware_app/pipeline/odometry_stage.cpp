@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 
 #include "vo_core/mapper.h"
 #include "vo_core/pyramid.h"
@@ -25,6 +26,10 @@ constexpr int kFewestKeyframes = 8;
 /// first four seconds (ATE 0.036 m), 8 to 16 do not (0.004 to 0.005).
 constexpr int kGatedViews = 8;
 
+/// No mask comes later than this.
+constexpr rt::TimeNs kLateMaskNs = rt::kNsPerSecond;
+constexpr rt::TimeNs kNoTime = std::numeric_limits<rt::TimeNs>::min();
+
 class OdometryStage final : public FrameStage {
  public:
   OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool, MaskSource* masks,
@@ -37,7 +42,9 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {}
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {
+    t_keyframe_ns_.fill(kNoTime);
+  }
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -47,13 +54,20 @@ class OdometryStage final : public FrameStage {
     input.slot = frame.slot;
     input.sequence = frame.meta.sequence;
     input.t_capture_ns = frame.meta.t_capture_ns;
-    if (masks_ != nullptr) input.mask = masks_->mask_for(frame.meta, input.grey);
+    if (masks_ != nullptr) {
+      input.mask = masks_->mask_for(frame.meta, input.grey);
+      purge_movers(frame.meta.t_capture_ns);
+    }
     input.feature_share = feature_share_;
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
     fill(result, record);
+    if (result.is_keyframe) {
+      t_keyframe_ns_[next_keyframe_] = input.t_capture_ns;
+      next_keyframe_ = (next_keyframe_ + 1) % t_keyframe_ns_.size();
+    }
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -70,6 +84,19 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
+  /// Keyframes of which more is known by now than when they were masked. One a frame: a bound on its cost.
+  void purge_movers(rt::TimeNs now_ns) {
+    for (rt::TimeNs& t : t_keyframe_ns_) {
+      rt::MaskPyramidView mask;
+      if (t == kNoTime || !masks_->late_mask(t, &mask)) {
+        if (t != kNoTime && now_ns - t > kLateMaskNs) t = kNoTime;
+        continue;
+      }
+      if (tracker_->late_mask(t, mask)) t = kNoTime;
+      return;
+    }
+  }
+
   static vo::MapperOptions mapper_options(const OdometryOptions& options, int slots) {
     vo::MapperOptions out;
     // Fewer slots than wanted: fewer keyframes, or in time they would hold every slot.
@@ -124,7 +151,10 @@ class OdometryStage final : public FrameStage {
   std::unique_ptr<vo::MapChannel> channel_;
   std::unique_ptr<vo::Tracker> tracker_;
   std::unique_ptr<vo::Mapper> mapper_;
-  double feature_share_ = 1.0;  ///< tracker's own
+  // Tracker's own.
+  double feature_share_ = 1.0;
+  std::array<rt::TimeNs, 16> t_keyframe_ns_;  ///< newest keyframes that no late mask has come for, or kNoTime
+  std::size_t next_keyframe_ = 0;
 };
 
 }  // namespace

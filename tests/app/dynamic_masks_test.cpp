@@ -39,7 +39,7 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
   int slot = pool.value()->acquire(), looked_at = pool.value()->acquire();
   ASSERT_GE(looked_at, 0);
   rt::FrameMeta meta, looked_at_meta;
-  int masked_frames = 0;
+  int masked_frames = 0, late_masks = 0;
   const rt::HeapCounts before = rt::rt_heap_counts();
   for (int frame = 0; frame < 100; ++frame) {
     meta.t_capture_ns = (frame + 1) * 33 * rt::kNsPerMs;
@@ -52,6 +52,15 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
     {
       const rt::RtScope scope;
       mask = masks->mask_for(meta, pool.value()->grey(slot));
+      // Since the detection's picture more is known of each than when it was masked; of this one and those before, not.
+      rt::MaskPyramidView late;
+      EXPECT_FALSE(masks->late_mask(meta.t_capture_ns, &late));
+      const bool came = frame >= kLate && frame % kPeriod == kLate;
+      EXPECT_EQ(masks->late_mask(meta.t_capture_ns - 33 * rt::kNsPerMs, &late), came);
+      if (came) {
+        EXPECT_FALSE(masks->late_mask(looked_at_meta.t_capture_ns - 33 * rt::kNsPerMs, &late));
+      }
+      late_masks += came;
     }
     ASSERT_EQ(mask.levels, rt::kPyramidLevels);
     const rt::ImageView& coarse = mask.level[static_cast<std::size_t>(mask.levels - 1)];
@@ -66,6 +75,7 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
   }
   EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
   EXPECT_EQ(rt::rt_heap_counts().frees, before.frees);
+  EXPECT_EQ(late_masks, 10);
   EXPECT_GT(masked_frames, 50) << "boxes must have come, or nothing was tried";
 }
 

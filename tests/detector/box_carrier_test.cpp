@@ -87,6 +87,29 @@ TEST(BoxCarrier, ALateDetectionCatchesUp) {
   EXPECT_FALSE(carrier.replace(9 * kFrame, {&kBox, 1})) << "from a picture that has not come yet";
 }
 
+TEST(BoxCarrier, ALateDetectionTellsOfThePicturesSinceThen) {
+  BoxCarrier carrier(640, 480, no_growth());
+  std::span<const Box> boxes;
+  carrier.advance(0, {}, {});
+  EXPECT_FALSE(carrier.boxes_at(0, &boxes)) << "no detection yet";
+  carrier.advance(kFrame, {}, {});
+  carrier.advance(2 * kFrame, grid(kBox, 5.F, 0.F), {});
+  carrier.advance(3 * kFrame, grid({105.F, 100.F, 205.F, 300.F, 0.8F, 0}, 5.F, 0.F), {});
+  carrier.replace(kFrame, {&kBox, 1});
+  EXPECT_FALSE(carrier.boxes_at(0, &boxes)) << "before the detection";
+  for (int i = 1; i <= 3; ++i) {
+    ASSERT_TRUE(carrier.boxes_at(i * kFrame, &boxes));
+    ASSERT_EQ(boxes.size(), 1U);
+    EXPECT_NEAR(boxes[0].x0, 100.F + 5.F * static_cast<float>(i - 1), 1e-3);
+  }
+  EXPECT_FALSE(carrier.boxes_at(4 * kFrame, &boxes)) << "not seen yet";
+  // Nothing was found in a later picture: of it, and of it alone, nothing is known to move.
+  carrier.replace(3 * kFrame, {});
+  EXPECT_FALSE(carrier.boxes_at(2 * kFrame, &boxes));
+  ASSERT_TRUE(carrier.boxes_at(3 * kFrame, &boxes));
+  EXPECT_TRUE(boxes.empty());
+}
+
 TEST(BoxCarrier, ADetectionOlderThanTheHistoryIsRefused) {
   BoxCarrier carrier(640, 480);
   for (int i = 0; i < BoxCarrier::kHistory + 2; ++i) carrier.advance(i * kFrame, {}, {});
