@@ -57,8 +57,8 @@ class BoxCarrier {
   /// Boxes in the newest picture, grown with their age and clipped to it.
   std::span<const Box> boxes() const { return shown_.view(); }
   /// Boxes in the picture of `t_capture_ns`, which lies back, by the newest detection if it was made on that picture or
-  /// an earlier one; without growth, not clipped. False: that picture is not known any more, or no detection reaches it.
-  /// Valid until the next advance() or replace().
+  /// an earlier one; without growth, not clipped. False: that picture is not known any more, or no detection reaches
+  /// it. Valid until the next advance() or replace().
   bool boxes_at(std::int64_t t_capture_ns, std::span<const Box>* boxes) const;
   /// Time between the detection and the newest picture; INT64_MAX before the first detection.
   std::int64_t age_ns() const { return seen_ns_ == INT64_MIN ? INT64_MAX : now_ns_ - seen_ns_; }

@@ -45,8 +45,8 @@ inline KeyframeFeature keyframe_feature(const CameraModel& camera, const FrameFe
 }
 
 enum class MessageKind : std::uint8_t {
-  kReset,    ///< forget everything; the next messages belong to `epoch`
-  kFrame,    ///< a tracked frame: update seeds with it
+  kReset,     ///< forget everything; the next messages belong to `epoch`
+  kFrame,     ///< a tracked frame: update seeds with it
   kKeyframe,  ///< a keyframe: observations, new seeds, bundle adjustment
   kLateMask   ///< what is known by now to have moved in a keyframe: what it took from there goes
 };

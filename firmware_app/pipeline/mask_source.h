@@ -14,9 +14,9 @@ class MaskSource {
   /// pyramid (the paper, section 2.3.1); levels == 0: nothing is known. Valid until the next call. No allocation, no
   /// lock, never waits, bounded.
   virtual rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) = 0;
-  /// Tracker thread, after mask_for() of a newer frame. What is known by now of the picture captured at t_capture_ns, if
-  /// that is more than when it was masked: a detection has come that was made on it or on an earlier one. False: nothing
-  /// new. Valid until the next call. The same rules.
+  /// Tracker thread, after mask_for() of a newer frame. What is known by now of the picture captured at t_capture_ns,
+  /// if that is more than when it was masked: a detection has come that was made on it or on an earlier one. False:
+  /// nothing new. Valid until the next call. The same rules.
   virtual bool late_mask(rt::TimeNs /*t_capture_ns*/, rt::MaskPyramidView* /*mask*/) { return false; }
 };
 
