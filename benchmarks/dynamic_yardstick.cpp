@@ -131,7 +131,7 @@ int run(const Options& options) {
   rt::FramePool* const pool = made.value().get();
   app::DynamicMasksOptions dynamic;
   dynamic.model = options.model;
-  auto opened = app::DynamicMasks::open(dynamic, pool);
+  auto opened = app::DynamicMasks::open(dynamic, camera, pool);
   if (!opened) return fail(opened.error().message);
   app::DynamicMasks* const masks = opened.value().get();
 

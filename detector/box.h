@@ -15,6 +15,7 @@ struct Box {
   float x0 = 0.F, y0 = 0.F, x1 = 0.F, y1 = 0.F;
   float score = 0.F;  ///< 0..1
   int class_id = 0;   ///< index into ModelInfo::classes
+  int track = -1;     ///< names the same thing from detection to detection; -1: not followed
 
   float width() const { return x1 - x0; }
   float height() const { return y1 - y0; }
@@ -26,6 +27,7 @@ struct BoxList {
   int count = 0;
 
   std::span<const Box> view() const { return {box.data(), static_cast<std::size_t>(count)}; }
+  std::span<Box> view() { return {box.data(), static_cast<std::size_t>(count)}; }
   void clear() { count = 0; }
   /// Returns false when full; the box is then dropped.
   bool push(const Box& b) {

@@ -19,10 +19,17 @@ detector::MaskMargin mask_margin() {
   return out;
 }
 
+/// By class: may be parked. People never are: who stands goes on in a moment.
+std::vector<bool> may_park(const std::vector<std::string>& classes) {
+  std::vector<bool> out;
+  for (const std::string& name : classes) out.push_back(name != "person");
+  return out;
+}
+
 }  // namespace
 
 rt::Result<std::unique_ptr<DynamicMasks>> DynamicMasks::open(const DynamicMasksOptions& options,
-                                                             const rt::FramePool* pool) {
+                                                             const vo::CameraModel& camera, const rt::FramePool* pool) {
   auto large = detector::Detector::open(options.model, options.detector);
   if (!large) return large.error();
   std::unique_ptr<detector::Detector> small;
@@ -33,11 +40,12 @@ rt::Result<std::unique_ptr<DynamicMasks>> DynamicMasks::open(const DynamicMasksO
       return rt::Error{options.small_model + ": its classes are not those of " + options.model};
     small = std::make_unique<detector::Detector>(std::move(opened).value());
   }
-  return std::unique_ptr<DynamicMasks>(new DynamicMasks(options, pool, std::move(large).value(), std::move(small)));
+  return std::unique_ptr<DynamicMasks>(
+      new DynamicMasks(options, camera, pool, std::move(large).value(), std::move(small)));
 }
 
-DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const rt::FramePool* pool, detector::Detector large,
-                           std::unique_ptr<detector::Detector> small)
+DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const vo::CameraModel& camera, const rt::FramePool* pool,
+                           detector::Detector large, std::unique_ptr<detector::Detector> small)
     : options_(options),
       pool_(pool),
       large_(std::move(large)),
@@ -45,7 +53,8 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const rt::FramePo
       carrier_(pool->layout().width, pool->layout().height, carrier_limits()),
       mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       late_mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
-      motion_(pool->layout().width, pool->layout().height) {
+      motion_(pool->layout().width, pool->layout().height),
+      parked_(camera, may_park(large_.info().classes)) {
   for (std::size_t i = 0; i < large_.info().classes.size(); ++i)
     movable_.push_back(large_.movable(static_cast<int>(i)));
 }
@@ -74,9 +83,13 @@ bool DynamicMasks::detect(const DetectorJob& job) {
 rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) {
   if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
   carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.boxes()), {});
-  if (detections_.read(&newest_) && carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
-    have_mask_ = true;
-    t_taken_ns_ = frame.t_capture_ns;
+  parked_.note_boxes(frame.t_capture_ns, carrier_.boxes());
+  if (detections_.read(&newest_)) {
+    parked_.take_detection(newest_.t_capture_ns, newest_.boxes.view());
+    if (carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
+      have_mask_ = true;
+      t_taken_ns_ = frame.t_capture_ns;
+    }
   }
   if (!have_mask_ && frame.t_capture_ns - t_first_ns_ < options_.first_mask_ns) {
     const std::array<detector::Box, 1> all{
@@ -84,15 +97,22 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
     mask_.update(all, movable_);
     return mask_.view();
   }
-  mask_.update(carrier_.boxes(), movable_);
+  mask_.update(moving(carrier_.boxes()), movable_);
   return mask_.view();
+}
+
+std::span<const detector::Box> DynamicMasks::moving(std::span<const detector::Box> boxes) {
+  moving_.clear();
+  for (const detector::Box& box : boxes)
+    if (!parked_.parked(box.track)) moving_.push(box);
+  return std::as_const(moving_).view();
 }
 
 bool DynamicMasks::late_mask(rt::TimeNs t_capture_ns, rt::MaskPyramidView* mask) {
   // From the frame with which the detection came in on, masks were made with it.
   std::span<const detector::Box> boxes;
   if (t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes)) return false;
-  late_mask_.update(boxes, movable_);
+  late_mask_.update(moving(boxes), movable_);
   *mask = late_mask_.view();
   return true;
 }

@@ -9,6 +9,7 @@
 #include "detector/box_mask.h"
 #include "detector/detector.h"
 #include "firmware_app/dynamic/box_motion.h"
+#include "firmware_app/dynamic/parked_boxes.h"
 #include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "hal/rt/frame_pool.h"
@@ -28,11 +29,17 @@ struct DynamicMasksOptions {
 /// The paper, section 2.3.1. detect() on the detector's thread, mask_for() on the tracker's; nobody waits.
 class DynamicMasks final : public MaskSource, public DetectorStage {
  public:
-  /// Loads the networks and runs each once. Error: names the file and the reason. The pool outlives it.
-  static rt::Result<std::unique_ptr<DynamicMasks>> open(const DynamicMasksOptions& options, const rt::FramePool* pool);
+  /// Loads the networks and runs each once. Error: names the file and the reason. The pool outlives it; its pictures
+  /// are the camera's.
+  static rt::Result<std::unique_ptr<DynamicMasks>> open(const DynamicMasksOptions& options,
+                                                        const vo::CameraModel& camera, const rt::FramePool* pool);
 
   bool detect(const DetectorJob& job) override;
   rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) override;
+  void frame_tracked(const TrackedFrame& frame) override { parked_.note_tracked(frame); }
+
+  /// Things that stand still in the scene and are not masked (parked_boxes.h). Tracker thread.
+  int parked() const { return parked_.parked_count(); }
 
   /// Sides of the networks' inputs [px]; the same where there is one network.
   int input_px() const { return large_.info().input_width; }
@@ -47,8 +54,11 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
     rt::TimeNs t_capture_ns = 0;
     detector::BoxList boxes;
   };
-  DynamicMasks(const DynamicMasksOptions& options, const rt::FramePool* pool, detector::Detector large,
-               std::unique_ptr<detector::Detector> small);
+  DynamicMasks(const DynamicMasksOptions& options, const vo::CameraModel& camera, const rt::FramePool* pool,
+               detector::Detector large, std::unique_ptr<detector::Detector> small);
+
+  /// Those of them that are not parked. Valid until the next call.
+  std::span<const detector::Box> moving(std::span<const detector::Box> boxes);
 
   const DynamicMasksOptions options_;
   const rt::FramePool* pool_;
@@ -62,6 +72,8 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   detector::BoxMask mask_;
   detector::BoxMask late_mask_;
   BoxMotion motion_;
+  ParkedBoxes parked_;
+  detector::BoxList moving_;
   Detection newest_;
   std::vector<bool> movable_;
   rt::TimeNs t_first_ns_ = 0;

@@ -32,13 +32,14 @@ rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const
   return rt::FramePool::create(layout);
 }
 
-rt::Result<std::unique_ptr<DynamicMasks>> open_masks(const Config::Detector& config, const rt::FramePool* pool) {
+rt::Result<std::unique_ptr<DynamicMasks>> open_masks(const Config::Detector& config, const vo::CameraModel& camera,
+                                                     const rt::FramePool* pool) {
   const ModelFiles files = model_files(config);
   DynamicMasksOptions options;
   options.model = files.large;
   options.small_model = files.small;
   options.detector = detector_options(config);
-  return DynamicMasks::open(options, pool);
+  return DynamicMasks::open(options, camera, pool);
 }
 
 }  // namespace
@@ -60,7 +61,7 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
   Assembly out;
   out.pool = std::move(pool).value();
   if (config.detector.enabled) {
-    auto opened = open_masks(config.detector, out.pool.get());
+    auto opened = open_masks(config.detector, model.value(), out.pool.get());
     if (!opened) return opened.error();
     out.dynamic = std::move(opened).value();
   }

@@ -1,10 +1,28 @@
 // Where the dynamic pixels of a frame come from: the detector, or in a simulation the truth.
 #pragma once
 
+#include <cstdint>
+#include <span>
+
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/image.h"
+#include "vo_core/geometry.h"
 
 namespace godwit::app {
+
+/// A map point where a frame showed it.
+struct SeenPoint {
+  float x = 0.F, y = 0.F;  ///< pixels, (0, 0) the centre of the top-left one
+  float distance = 0.F;    ///< from the camera [map units]
+};
+
+/// What the odometry made of a frame. `points` is valid during the call only.
+struct TrackedFrame {
+  rt::TimeNs t_capture_ns = 0;
+  std::uint32_t map_id = 0;
+  vo::SE3 T_cam_world;
+  std::span<const SeenPoint> points;  ///< what its pose stands on, outside the mask
+};
 
 /// Asked once for each frame, just before it is tracked.
 class MaskSource {
@@ -18,6 +36,8 @@ class MaskSource {
   /// if that is more than when it was masked: a detection has come that was made on it or on an earlier one. False:
   /// nothing new. Valid until the next call. The same rules.
   virtual bool late_mask(rt::TimeNs /*t_capture_ns*/, rt::MaskPyramidView* /*mask*/) { return false; }
+  /// Tracker thread, after each frame that was tracked. No allocation, no lock, never waits, bounded.
+  virtual void frame_tracked(const TrackedFrame& /*frame*/) {}
 };
 
 }  // namespace godwit::app

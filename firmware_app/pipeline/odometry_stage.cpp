@@ -63,6 +63,7 @@ class OdometryStage final : public FrameStage {
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
+    if (masks_ != nullptr && result.tracked) tell_masks(frame.meta.t_capture_ns, result);
     fill(result, record);
     if (result.is_keyframe) {
       t_keyframe_ns_[next_keyframe_] = input.t_capture_ns;
@@ -117,6 +118,21 @@ class OdometryStage final : public FrameStage {
     return out;
   }
 
+  void tell_masks(rt::TimeNs t_capture_ns, const vo::FrameResult& result) {
+    TrackedFrame told;
+    told.t_capture_ns = t_capture_ns;
+    told.map_id = result.map_id;
+    told.T_cam_world = result.T_world_cam.inverse();
+    std::size_t n = 0;
+    for (const vo::FrameFeature& f : tracker_->features()) {
+      const vo::MapPoint* const point = f.shaded ? nullptr : tracker_->map().find(f.point);
+      if (point == nullptr || n == seen_points_.size()) continue;
+      seen_points_[n++] = {f.px.x(), f.px.y(), static_cast<float>((told.T_cam_world * point->p_world).norm())};
+    }
+    told.points = std::span(seen_points_).first(n);
+    masks_->frame_tracked(told);
+  }
+
   static void fill(const vo::FrameResult& result, FrameRecord* record) {
     record->fate = FrameFate::kProcessed;
     record->tracked = result.tracked;
@@ -155,6 +171,7 @@ class OdometryStage final : public FrameStage {
   double feature_share_ = 1.0;
   std::array<rt::TimeNs, 16> t_keyframe_ns_;  ///< newest keyframes that no late mask has come for, or kNoTime
   std::size_t next_keyframe_ = 0;
+  std::array<SeenPoint, vo::kMaxFrameFeatures> seen_points_;
 };
 
 }  // namespace

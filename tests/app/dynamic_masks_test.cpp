@@ -31,10 +31,14 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
   DynamicMasksOptions options;
   options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
   options.detector.decode.score_threshold = 1e-5F;  // boxes of anything
-  auto opened = DynamicMasks::open(options, pool.value().get());
+  const auto camera = vo::CameraModel::pinhole_radtan(kWidth, kHeight, 250, 250, 159.5, 119.5, {});
+  ASSERT_TRUE(camera) << camera.error().message;
+  auto opened = DynamicMasks::open(options, camera.value(), pool.value().get());
   ASSERT_TRUE(opened) << opened.error().message;
   DynamicMasks* const masks = opened.value().get();
 
+  std::vector<SeenPoint> points;
+  for (int i = 0; i < 150; ++i) points.push_back({2.F * static_cast<float>(i), 1.5F * static_cast<float>(i), 10.F});
   constexpr int kPeriod = 10, kLate = 3;
   int slot = pool.value()->acquire(), looked_at = pool.value()->acquire();
   ASSERT_GE(looked_at, 0);
@@ -61,6 +65,7 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
         EXPECT_FALSE(masks->late_mask(looked_at_meta.t_capture_ns - 33 * rt::kNsPerMs, &late));
       }
       late_masks += came;
+      masks->frame_tracked({meta.t_capture_ns, 1, {}, points});
     }
     ASSERT_EQ(mask.levels, rt::kPyramidLevels);
     const rt::ImageView& coarse = mask.level[static_cast<std::size_t>(mask.levels - 1)];
