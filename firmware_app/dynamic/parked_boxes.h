@@ -34,10 +34,10 @@ struct ParkedLimits {
 /// for ParkedLimits::watched_ns one point of the world explains all its centres, when its depth, where the camera's way
 /// lets it be told, is that of the map around it (what drives along with the aircraft has another), and when it did not
 /// grow or shrink but for its distance. People are never parked: who stands goes on in a moment. What drives within the
-/// line of sight's plane at less than about a third of the camera's own speed cannot be told from a thing at another
-/// depth, nor from a parked one. Once found off its place by twice the tolerance, unseen or without a pose for long, or
-/// in another map, it has to prove itself anew.
-/// Pure logic, the tracker's thread; after construction no allocation; all loops are bounded by the constants below.
+/// line of sight's plane at less than about a third of the camera's own speed (half of it where it comes the other way)
+/// cannot be told from a thing at another depth, nor from a parked one. Once found off its place by twice the
+/// tolerance, unseen or without a pose for long, or in another map, it has to prove itself anew. Pure logic, the
+/// tracker's thread; after construction no allocation; all loops are bounded by the constants below.
 class ParkedBoxes {
  public:
   static constexpr int kTracks = 32;
