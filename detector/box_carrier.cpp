@@ -42,15 +42,24 @@ bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotio
     if (finite(f)) step.features[static_cast<std::size_t>(step.count++)] = f;
   }
   move_all(step);
-  remember(carried_, &step);
+  remember(&step);
   show();
   return true;
 }
 
-void BoxCarrier::remember(const BoxList& boxes, Step* step) {
-  // Only what is used: a list has room for many more.
-  step->boxes.count = boxes.count;
-  std::copy_n(boxes.box.begin(), boxes.count, step->boxes.box.begin());
+void BoxCarrier::remember(Step* step) const {
+  step->boxes.count = carried_.count;
+  for (int i = 0; i < carried_.count; ++i) step->boxes.box[static_cast<std::size_t>(i)] = to_the_edge(i);
+}
+
+Box BoxCarrier::to_the_edge(int i) const {
+  Box box = carried_.box[static_cast<std::size_t>(i)];
+  const Edges cut = cut_[static_cast<std::size_t>(i)];
+  if (cut.left) box.x0 = std::min(box.x0, 0.F);
+  if (cut.top) box.y0 = std::min(box.y0, 0.F);
+  if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
+  if (cut.bottom) box.y1 = std::max(box.y1, static_cast<float>(height_));
+  return box;
 }
 
 bool BoxCarrier::boxes_at(std::int64_t t_capture_ns, std::span<const Box>* boxes) const {
@@ -82,7 +91,7 @@ bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) 
     Step& step = history_[static_cast<std::size_t>((oldest + i) % kHistory)];
     if (step.t_ns < t_capture_ns) continue;
     if (step.t_ns > t_capture_ns) move_all(step);
-    remember(carried_, &step);
+    remember(&step);
   }
   show();
   return true;
@@ -94,13 +103,7 @@ void BoxCarrier::move_all(const Step& step) {
   for (int i = 0; i < carried_.count && !stale; ++i) {
     Box box = carried_.box[static_cast<std::size_t>(i)];
     if (!move_box(step, &box)) continue;
-    // More of what is cut off comes into view.
-    const Edges cut = cut_[static_cast<std::size_t>(i)];
-    if (cut.left) box.x0 = std::min(box.x0, 0.F);
-    if (cut.top) box.y0 = std::min(box.y0, 0.F);
-    if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
-    if (cut.bottom) box.y1 = std::max(box.y1, static_cast<float>(height_));
-    cut_[static_cast<std::size_t>(kept)] = cut;
+    cut_[static_cast<std::size_t>(kept)] = cut_[static_cast<std::size_t>(i)];
     carried_.box[static_cast<std::size_t>(kept++)] = box;
   }
   carried_.count = kept;
@@ -164,7 +167,8 @@ void BoxCarrier::show() {
   if (carried_.count == 0) return;
   const float age_s = static_cast<float>(static_cast<double>(now_ns_ - seen_ns_) * 1e-9);
   const float share = 0.5F * std::min(limits_.growth_per_s * age_s, limits_.max_growth_share);
-  for (const Box& b : carried_.view()) {
+  for (int i = 0; i < carried_.count; ++i) {
+    const Box b = to_the_edge(i);
     Box grown = b;
     const float gx = share * b.width(), gy = share * b.height();
     grown.x0 = std::max(b.x0 - gx, 0.F);

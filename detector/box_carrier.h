@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "detector/box.h"
@@ -60,6 +61,9 @@ class BoxCarrier {
   /// an earlier one; without growth, not clipped. False: that picture is not known any more, or no detection reaches
   /// it. Valid until the next advance() or replace().
   bool boxes_at(std::int64_t t_capture_ns, std::span<const Box>* boxes) const;
+  /// The same as they were detected and moved, neither grown nor stretched nor clipped: what to look for their motion
+  /// in.
+  std::span<const Box> followed() const { return std::as_const(carried_).view(); }
   /// Time between the detection and the newest picture; INT64_MAX before the first detection.
   std::int64_t age_ns() const { return seen_ns_ == INT64_MIN ? INT64_MAX : now_ns_ - seen_ns_; }
   /// Drops everything, as after a reset.
@@ -81,14 +85,15 @@ class BoxCarrier {
   bool move_box(const Step& step, Box* box);
   Edges cut_off(const Box& box) const;
   void show();
-  static void remember(const BoxList& boxes, Step* step);
+  void remember(Step* step) const;
+  Box to_the_edge(int i) const;
 
   int width_, height_;
   CarrierLimits limits_;
   std::vector<Step> history_;  // a ring; head_ is the next to be written
   int head_ = 0, held_ = 0;
   std::int64_t now_ns_ = INT64_MIN, seen_ns_ = INT64_MIN;
-  BoxList carried_;                     // without growth: growth would compound
+  BoxList carried_;  // as detected and moved: growth would compound, and what is stretched no longer fits what moves
   std::array<Edges, kMaxBoxes> cut_{};  // of carried_
   BoxList shown_;
   std::array<float, kMaxFeatures> dx_{}, dy_{}, ratio_{};

@@ -33,6 +33,21 @@ struct CoarseMask {
     rows = other.rows;
     std::memcpy(cell.data(), other.cell.data(), static_cast<std::size_t>(columns * rows));
   }
+  /// Masks what the other masks, too. Of the same size, or this one or the other empty.
+  void add(const CoarseMask& other) {
+    if (empty()) {
+      assign(other);
+      return;
+    }
+    if (other.empty()) return;
+    for (int i = 0; i < columns * rows; ++i)
+      cell[static_cast<std::size_t>(i)] |= other.cell[static_cast<std::size_t>(i)];
+  }
+  void add(const rt::MaskPyramidView& mask) {
+    CoarseMask other;
+    other.assign(mask);
+    add(other);
+  }
   void clear() { columns = rows = 0; }
   bool empty() const { return columns == 0; }
   /// Share of the picture that is masked, 0 to 1.

@@ -125,7 +125,8 @@ void Mapper::handle_late_mask(const MapperMessage& m) {
   const int place = m.keyframe_place;
   const Keyframe& kf = map_.keyframe(place);
   if (kf.id != m.keyframe_id) return;  // forgotten meanwhile
-  masks_[static_cast<std::size_t>(place)].assign(m.mask);
+  // In addition to the earlier mask: a detection misses things, too.
+  masks_[static_cast<std::size_t>(place)].add(m.mask);
   for (Seed& s : *seeds_)
     if (s.active && s.place == place && m.mask.masked(s.feature.px)) s.active = false;
   // A box holds much that does not move: what two other keyframes have seen beside their masks stays. To take all that
@@ -133,7 +134,13 @@ void Mapper::handle_late_mask(const MapperMessage& m) {
   for (int i = 0; i < kf.feature_count; ++i) {
     const PointHandle h = kf.features[i].point;
     const MapPoint* const p = map_.find(h);
-    if (p && p->observation_count < 3 && m.mask.masked(kf.features[i].px)) remove_point(h);
+    if (!p || !m.mask.masked(kf.features[i].px)) continue;
+    int beside = 0;
+    for (int k = 0; k < p->observation_count; ++k) {
+      const Observation& o = p->observations[k];
+      beside += !masks_[o.keyframe].masked(map_.keyframe(o.keyframe).features[o.feature].px);
+    }
+    if (beside < 2) remove_point(h);
   }
 }
 

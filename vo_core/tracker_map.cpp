@@ -124,8 +124,9 @@ bool Tracker::late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask
   for (int k = 0; k < kMaxKeyframes; ++k) {
     const Keyframe& kf = map_->keyframe(k);
     if (kf.id == 0 || kf.t_capture_ns != t_capture_ns) continue;
+    // Keyframes come first: what is left is theirs.
+    if (channel_->messages.free_items() < 3) return false;
     MapperMessage* m = channel_->messages.claim();
-    if (!m) return false;
     m->kind = MessageKind::kLateMask;
     m->epoch = epoch_;
     m->sequence = frame_counter_;
@@ -137,7 +138,7 @@ bool Tracker::late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask
     channel_->messages.commit();
     // Nor do movers belong into what the place is recognised by.
     relocaliser_->add_keyframe(k, kf.id, kf.pyramid, mask);
-    if (kf.id == last_keyframe_id_) keyframe_mask_.assign(mask);
+    if (kf.id == last_keyframe_id_) keyframe_mask_.add(mask);
     return true;
   }
   return true;

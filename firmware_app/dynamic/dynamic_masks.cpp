@@ -1,6 +1,8 @@
 #include "firmware_app/dynamic/dynamic_masks.h"
 
+#include <algorithm>
 #include <array>
+#include <string_view>
 #include <utility>
 
 namespace godwit::app {
@@ -19,10 +21,13 @@ detector::MaskMargin mask_margin() {
   return out;
 }
 
-/// By class: may be parked. People never are: who stands goes on in a moment.
+/// By class: may be parked. Vehicles by COCO's and VisDrone's names; nobody else is, least of all people, whatever a
+/// network calls them: who stands goes on in a moment.
 std::vector<bool> may_park(const std::vector<std::string>& classes) {
+  constexpr std::array<std::string_view, 6> kVehicles = {"bicycle", "car", "motorcycle", "bus", "truck", "van"};
   std::vector<bool> out;
-  for (const std::string& name : classes) out.push_back(name != "person");
+  for (const std::string& name : classes)
+    out.push_back(std::find(kVehicles.begin(), kVehicles.end(), name) != kVehicles.end());
   return out;
 }
 
@@ -82,9 +87,12 @@ bool DynamicMasks::detect(const DetectorJob& job) {
 
 rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) {
   if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
-  carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.boxes()), {});
+  carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.followed()), {});
   parked_.note_boxes(frame.t_capture_ns, carrier_.boxes());
   if (detections_.read(&newest_)) {
+    // By now its picture's boxes may be known from a newer detection than when that picture came.
+    std::span<const detector::Box> before;
+    if (carrier_.boxes_at(newest_.t_capture_ns, &before)) parked_.correct_boxes(newest_.t_capture_ns, before);
     parked_.take_detection(newest_.t_capture_ns, newest_.boxes.view());
     if (carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
       have_mask_ = true;
@@ -108,13 +116,14 @@ std::span<const detector::Box> DynamicMasks::moving(std::span<const detector::Bo
   return std::as_const(moving_).view();
 }
 
-bool DynamicMasks::late_mask(rt::TimeNs t_capture_ns, rt::MaskPyramidView* mask) {
+rt::TimeNs DynamicMasks::late_mask(rt::TimeNs t_capture_ns, rt::TimeNs known_ns, rt::MaskPyramidView* mask) {
   // From the frame with which the detection came in on, masks were made with it.
   std::span<const detector::Box> boxes;
-  if (t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes)) return false;
+  if (newest_.t_capture_ns <= known_ns || t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes))
+    return known_ns;
   late_mask_.update(moving(boxes), movable_);
   *mask = late_mask_.view();
-  return true;
+  return newest_.t_capture_ns;
 }
 
 }  // namespace godwit::app

@@ -44,7 +44,7 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   /// Sides of the networks' inputs [px]; the same where there is one network.
   int input_px() const { return large_.info().input_width; }
   int small_input_px() const { return small_ != nullptr ? small_->info().input_width : input_px(); }
-  bool late_mask(rt::TimeNs t_capture_ns, rt::MaskPyramidView* mask) override;
+  rt::TimeNs late_mask(rt::TimeNs t_capture_ns, rt::TimeNs known_ns, rt::MaskPyramidView* mask) override;
 
   /// What was asked for and could not be had, in words; empty if nothing.
   std::string warning() const;

@@ -57,16 +57,25 @@ ParkedBoxes::Track* ParkedBoxes::new_track() {
   return nullptr;
 }
 
+void ParkedBoxes::fill(std::span<const detector::Box> carried, Frame* frame) {
+  frame->box_count = 0;
+  for (const detector::Box& b : carried) {
+    if (b.track < 0 || frame->box_count == kTracks) continue;
+    frame->boxes[static_cast<std::size_t>(frame->box_count++)] = {b.track, b.x0, b.y0, b.x1, b.y1};
+  }
+}
+
+void ParkedBoxes::correct_boxes(rt::TimeNs t_capture_ns, std::span<const detector::Box> carried) {
+  if (Frame* const frame = frame_of(t_capture_ns)) fill(carried, frame);
+}
+
 void ParkedBoxes::note_boxes(rt::TimeNs t_capture_ns, std::span<const detector::Box> carried) {
   Frame& frame = frames_[static_cast<std::size_t>(head_)];
   head_ = (head_ + 1) % kFrames;
   frame.t_ns = t_capture_ns;
   frame.has_pose = false;
-  frame.box_count = frame.point_count = 0;
-  for (const detector::Box& b : carried) {
-    if (b.track < 0 || frame.box_count == kTracks) continue;
-    frame.boxes[static_cast<std::size_t>(frame.box_count++)] = {b.track, b.x0, b.y0, b.x1, b.y1};
-  }
+  frame.point_count = 0;
+  fill(carried, &frame);
   for (Track& t : tracks_)
     if (t.count > 0 && t_capture_ns - t.t_sighting_ns > limits_.unseen_ns) t.forget();
 }

@@ -50,6 +50,8 @@ class ParkedBoxes {
 
   /// Each frame, in order: the boxes known for it, carried from an earlier detection.
   void note_boxes(rt::TimeNs t_capture_ns, std::span<const detector::Box> carried);
+  /// The boxes of an earlier frame, if better ones are known by now.
+  void correct_boxes(rt::TimeNs t_capture_ns, std::span<const detector::Box> carried);
   /// The frame's pose, if it has one.
   void note_tracked(const TrackedFrame& frame);
   /// A detection on the picture of `t_capture_ns`, one of the last kFrames: writes each box's track, -1 where it is not
@@ -98,6 +100,7 @@ class ParkedBoxes {
     bool known = false;
   };
 
+  static void fill(std::span<const detector::Box> carried, Frame* frame);
   Frame* frame_of(rt::TimeNs t_ns);
   Track* track_of(int id);
   Track* new_track();

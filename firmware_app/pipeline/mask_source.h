@@ -33,9 +33,12 @@ class MaskSource {
   /// lock, never waits, bounded.
   virtual rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) = 0;
   /// Tracker thread, after mask_for() of a newer frame. What is known by now of the picture captured at t_capture_ns,
-  /// if that is more than when it was masked: a detection has come that was made on it or on an earlier one. False:
-  /// nothing new. Valid until the next call. The same rules.
-  virtual bool late_mask(rt::TimeNs /*t_capture_ns*/, rt::MaskPyramidView* /*mask*/) { return false; }
+  /// if that is more than when it was masked: a detection has come that was made on it or on an earlier one. Returns
+  /// when the detection's picture was captured; known_ns, and no mask, if none has come that is newer than that one.
+  /// Valid until the next call. The same rules.
+  virtual rt::TimeNs late_mask(rt::TimeNs /*t_capture_ns*/, rt::TimeNs known_ns, rt::MaskPyramidView* /*mask*/) {
+    return known_ns;
+  }
   /// Tracker thread, after each frame that was tracked. No allocation, no lock, never waits, bounded.
   virtual void frame_tracked(const TrackedFrame& /*frame*/) {}
 };

@@ -30,6 +30,12 @@ constexpr int kGatedViews = 8;
 constexpr rt::TimeNs kLateMaskNs = rt::kNsPerSecond;
 constexpr rt::TimeNs kNoTime = std::numeric_limits<rt::TimeNs>::min();
 
+/// A keyframe that its own detection has not come for.
+struct WaitingKeyframe {
+  rt::TimeNs t_ns = kNoTime;        ///< capture time; kNoTime: this place is free
+  rt::TimeNs t_known_ns = kNoTime;  ///< of the picture whose detection it was last purged by
+};
+
 class OdometryStage final : public FrameStage {
  public:
   OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool, MaskSource* masks,
@@ -42,9 +48,7 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {
-    t_keyframe_ns_.fill(kNoTime);
-  }
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {}
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -65,10 +69,7 @@ class OdometryStage final : public FrameStage {
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
     if (masks_ != nullptr && result.tracked) tell_masks(frame.meta.t_capture_ns, result);
     fill(result, record);
-    if (result.is_keyframe) {
-      t_keyframe_ns_[next_keyframe_] = input.t_capture_ns;
-      next_keyframe_ = (next_keyframe_ + 1) % t_keyframe_ns_.size();
-    }
+    if (result.is_keyframe) note_keyframe(input.t_capture_ns);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -85,15 +86,33 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
-  /// Keyframes of which more is known by now than when they were masked. One a frame: a bound on its cost.
+  void note_keyframe(rt::TimeNs t_capture_ns) {
+    const auto note = [&](rt::TimeNs t) {
+      waiting_[next_waiting_] = {t, kNoTime};
+      next_waiting_ = (next_waiting_ + 1) % waiting_.size();
+    };
+    note(t_capture_ns);
+    const vo::Map& map = tracker_->map();
+    if (map.keyframe_count() != 2) return;
+    // A new map has two at once: the first view is a frame of long ago.
+    for (int k = 0; k < vo::kMaxKeyframes; ++k)
+      if (map.keyframe(k).id == 1) note(map.keyframe(k).t_capture_ns);
+  }
+
+  /// Keyframes of which more is known by now than when they were masked: by detections of earlier pictures, at last by
+  /// their own. One a frame: a bound on its cost.
   void purge_movers(rt::TimeNs now_ns) {
-    for (rt::TimeNs& t : t_keyframe_ns_) {
-      rt::MaskPyramidView mask;
-      if (t == kNoTime || !masks_->late_mask(t, &mask)) {
-        if (t != kNoTime && now_ns - t > kLateMaskNs) t = kNoTime;
+    for (WaitingKeyframe& k : waiting_) {
+      if (k.t_ns == kNoTime) continue;
+      if (now_ns - k.t_ns > kLateMaskNs) {
+        k.t_ns = kNoTime;
         continue;
       }
-      if (tracker_->late_mask(t, mask)) t = kNoTime;
+      rt::MaskPyramidView mask;
+      const rt::TimeNs t_detection_ns = masks_->late_mask(k.t_ns, k.t_known_ns, &mask);
+      if (t_detection_ns == k.t_known_ns) continue;
+      if (tracker_->late_mask(k.t_ns, mask)) k.t_known_ns = t_detection_ns;
+      if (k.t_known_ns == k.t_ns) k.t_ns = kNoTime;
       return;
     }
   }
@@ -169,8 +188,8 @@ class OdometryStage final : public FrameStage {
   std::unique_ptr<vo::Mapper> mapper_;
   // Tracker's own.
   double feature_share_ = 1.0;
-  std::array<rt::TimeNs, 16> t_keyframe_ns_;  ///< newest keyframes that no late mask has come for, or kNoTime
-  std::size_t next_keyframe_ = 0;
+  std::array<WaitingKeyframe, 16> waiting_;
+  std::size_t next_waiting_ = 0;
   std::array<SeenPoint, vo::kMaxFrameFeatures> seen_points_;
 };
 

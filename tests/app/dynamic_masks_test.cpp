@@ -58,13 +58,16 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
       mask = masks->mask_for(meta, pool.value()->grey(slot));
       // Since the detection's picture more is known of each than when it was masked; of this one and those before, not.
       rt::MaskPyramidView late;
-      EXPECT_FALSE(masks->late_mask(meta.t_capture_ns, &late));
+      constexpr rt::TimeNs kNothing = -1, kStep = 33 * rt::kNsPerMs;
+      EXPECT_EQ(masks->late_mask(meta.t_capture_ns, kNothing, &late), kNothing);
       const bool came = frame >= kLate && frame % kPeriod == kLate;
-      EXPECT_EQ(masks->late_mask(meta.t_capture_ns - 33 * rt::kNsPerMs, &late), came);
+      const rt::TimeNs t_detection = masks->late_mask(meta.t_capture_ns - kStep, kNothing, &late);
+      EXPECT_EQ(t_detection, came ? looked_at_meta.t_capture_ns : kNothing);
+      late_masks += t_detection != kNothing;
       if (came) {
-        EXPECT_FALSE(masks->late_mask(looked_at_meta.t_capture_ns - 33 * rt::kNsPerMs, &late));
+        EXPECT_EQ(masks->late_mask(looked_at_meta.t_capture_ns - kStep, kNothing, &late), kNothing);
+        EXPECT_EQ(masks->late_mask(meta.t_capture_ns - kStep, t_detection, &late), t_detection) << "known already";
       }
-      late_masks += came;
       masks->frame_tracked({meta.t_capture_ns, 1, {}, points});
     }
     ASSERT_EQ(mask.levels, rt::kPyramidLevels);

@@ -161,6 +161,10 @@ TEST(BoxCarrier, WhatThePictureCutsOffComesIntoView) {
   EXPECT_NEAR(entering.x1, 80.F, 1.F);
   EXPECT_NEAR(entering.y0, 90.F, 1.F);
   EXPECT_NEAR(carrier.boxes()[1].x0, 320.F, 1e-3);
+  // What is stretched does not slow down what is followed: the motion is looked for where he was seen.
+  ASSERT_EQ(carrier.followed().size(), 2U);
+  EXPECT_NEAR(carrier.followed()[0].x0, 21.F, 1.F);
+  EXPECT_NEAR(carrier.followed()[0].width(), 59.F, 1.F);
   // A late detection that sees him whole lets go of the edge.
   const Box whole{30.F, 90.F, 110.F, 470.F, 0.8F, 0};
   carrier.replace(kFrame, {&whole, 1});

@@ -1,4 +1,5 @@
 // A mask that comes after its frame has become a keyframe: the map loses what the keyframe took from movers.
+#include <algorithm>
 #include <gtest/gtest.h>
 #include <memory>
 #include <new>
@@ -98,7 +99,8 @@ struct LeftHalf {
 
 struct Halves {
   int left = 0, right = 0;
-  int left_proved = 0;  ///< by two other keyframes
+  int left_proved = 0;         ///< by two other keyframes
+  int left_proved_beside = 0;  ///< by two that saw it in their right half
 };
 /// Features of the keyframe captured then that have a point.
 Halves count(const Map& map, rt::TimeNs t_capture_ns) {
@@ -111,7 +113,13 @@ Halves count(const Map& map, rt::TimeNs t_capture_ns) {
       const MapPoint* const p = map.find(f.point);
       if (p == nullptr) continue;
       ++(f.px.x() < kWidth / 2 ? out.left : out.right);
+      int beside = 0;
+      for (int o = 0; o < p->observation_count; ++o) {
+        const Observation& seen = p->observations[static_cast<std::size_t>(o)];
+        beside += map.keyframe(seen.keyframe).features[seen.feature].px.x() >= kWidth / 2;
+      }
       out.left_proved += f.px.x() < kWidth / 2 && p->observation_count >= 3;
+      out.left_proved_beside += f.px.x() < kWidth / 2 && beside >= 2;
     }
   }
   return out;
@@ -138,6 +146,27 @@ TEST(LateMask, TakesFromTheMapWhatItsKeyframeAloneSaw) {
   // No seed that began inside becomes a point any more; both maps agree.
   for (const Map* map : {&flight.tracker().map(), &flight.mapper().map()})
     EXPECT_LE(count(*map, t).left, before.left_proved);
+}
+
+TEST(LateMask, WhatIsMaskedInTheOtherKeyframesTooIsNoProof) {
+  Flight flight;
+  const LeftHalf mask;
+  const rt::TimeNs newest = flight.newest_keyframe();
+  // Somebody was in the picture from the first keyframe on, and all their masks come late.
+  std::vector<rt::TimeNs> times;
+  const Map& map = flight.mapper().map();
+  for (int k = 0; k < kMaxKeyframes; ++k)
+    if (map.keyframe(k).id != 0) times.push_back(map.keyframe(k).t_capture_ns);
+  ASSERT_GE(times.size(), 3u);
+  std::sort(times.begin(), times.end());
+  for (const rt::TimeNs t : times) {
+    EXPECT_TRUE(flight.tracker().late_mask(t, mask.view));
+    while (flight.mapper().step()) {
+    }
+  }
+  const Halves after = count(map, newest);
+  EXPECT_EQ(after.left_proved_beside, after.left);
+  EXPECT_GT(after.right, 10);
 }
 
 TEST(LateMask, OfAFrameThatIsNoKeyframeChangesNothing) {
