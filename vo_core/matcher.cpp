@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "vo_core/patch.h"
 
@@ -140,13 +141,23 @@ bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int
 }
 
 MatchResult match_direct(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
-                         const rt::PyramidView& cur, const Vec2f& px_guess, int max_level) {
+                         const rt::PyramidView& cur, const Vec2f& px_guess, int max_level, int coarser) {
   Eigen::Matrix2f A;
   if (!warp_matrix(camera, source, T_cur_ref, &A)) return {};
-  const int level = search_level(A, source.feature->level, max_level);
+  const int level = search_level(A, source.feature->level, max_level) + coarser;
+  if (level > max_level) return {};
   ReferencePatch patch;
   if (!warp_patch(source, A, level, &patch)) return {};
   return align_match(cur, patch, source, A, level, px_guess, false);
+}
+
+double depth_shift_px(const CameraModel& camera, const SE3& T_cur_ref, const Vec3& f_ref, double inv_depth,
+                      double sigma) {
+  Vec2 nearer, farther;
+  if (!camera.project(T_cur_ref * (f_ref / (inv_depth + sigma)), &nearer) ||
+      !camera.project(T_cur_ref * (f_ref / std::max(inv_depth - sigma, 1e-4)), &farther))
+    return std::numeric_limits<double>::infinity();
+  return 0.5 * (nearer - farther).norm();
 }
 
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth) {

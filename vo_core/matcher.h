@@ -38,9 +38,10 @@ struct MatchResult {
   float residual = 0.0f;
 };
 
-/// Aligns the source's patch in `cur`, starting at px_guess (level 0).
+/// Aligns the source's patch in `cur`, starting at px_guess (level 0), on the level of its own scale or `coarser`
+/// levels above it. Not found above max_level.
 MatchResult match_direct(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
-                         const rt::PyramidView& cur, const Vec2f& px_guess, int max_level);
+                         const rt::PyramidView& cur, const Vec2f& px_guess, int max_level, int coarser = 0);
 
 /// Searches `cur` along the epipolar curve of the source between depths depth_min and depth_max (max may be infinite
 /// in practice: pass a large value), then aligns. Gives the depth along the source's bearing by triangulation.
@@ -53,6 +54,11 @@ struct EpipolarResult {
 };
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
                               const rt::PyramidView& cur, double depth_min, double depth_max, int max_level);
+
+/// By how much one sigma of inverse depth, either way, moves what is seen along f_ref (unit) in the other picture [px]:
+/// along the line of sight of that camera by nothing. Infinite where it leaves the other camera's view.
+double depth_shift_px(const CameraModel& camera, const SE3& T_cur_ref, const Vec3& f_ref, double inv_depth,
+                      double sigma);
 
 /// Depth along f_ref (unit) of the point seen under f_ref and f_cur. False when the rays are parallel.
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth);

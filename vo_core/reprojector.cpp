@@ -109,8 +109,12 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
   const KeyframeFeature& feature = kf.features[p.observations[best].feature];
   const PatchSource source{&kf.pyramid, &feature,
                            (keyframe_position_[p.observations[best].keyframe] - p.p_world).norm()};
-  const MatchResult m =
-      match_direct(camera_, source, T_cam_world * kf.T_kf_world.inverse(), pyramid, c.px, options_.max_level);
+  const SE3 T_cur_kf = T_cam_world * kf.T_kf_world.inverse();
+  MatchResult m;
+  for (int coarser = 0; coarser <= coarser_; ++coarser) {
+    m = match_direct(camera_, source, T_cur_kf, pyramid, c.px, options_.max_level, coarser);
+    if (m.found && m.residual <= max_residual) break;
+  }
   if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
   out->px = m.px;
   out->gradient = m.gradient;
@@ -122,9 +126,10 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, const Vec6& velocity, std::uint32_t mark, int wanted,
-                                    FrameFeature* out) {
+                                    const SE3& T_cam_world, const Vec6& velocity, bool followed, std::uint32_t mark,
+                                    int wanted, FrameFeature* out) {
   ReprojectionResult result;
+  coarser_ = followed ? options_.coarser_levels : 0;
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;

@@ -19,6 +19,8 @@ struct ReprojectorOptions {
   int max_trials = 360;  ///< at most 512
   int max_keyframes = 12;
   int max_level = 3;
+  /// Levels above a point's own on which it is looked for again: motion blur takes the fine levels first.
+  int coarser_levels = 1;
   /// Fewer matches outside the mask than this: points inside it are looked for as well, if older frames have proved
   /// them. A box holds much that does not move, and the picture itself shows whether the point is hidden.
   int scarce_matches = 100;
@@ -41,9 +43,10 @@ class Reprojector {
   Reprojector(const CameraModel& camera, const ReprojectorOptions& options);
 
   /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
-  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected).
+  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected). `followed`: the pose
+  /// continues that of the last picture; a guess does without the coarser levels, on which chance looks alike sooner.
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, const Vec6& velocity, std::uint32_t mark, int wanted,
+                         const SE3& T_cam_world, const Vec6& velocity, bool followed, std::uint32_t mark, int wanted,
                          FrameFeature* out);
 
   /// Writes found and missed of the last run into the points. Only for a run whose pose stood: a black picture or a
@@ -75,6 +78,7 @@ class Reprojector {
   ReprojectorOptions options_;
   int columns_, rows_;
   int candidate_count_ = 0;
+  int coarser_ = 0;  ///< coarser_levels, or 0 for a guess
   struct Trial {
     std::uint16_t point;
     bool found;

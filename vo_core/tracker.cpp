@@ -114,9 +114,11 @@ bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, 
   rt::TimeNs t0 = now();
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
   const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
+  const bool followed =
+      last_.slot >= 0 && feature_count_ > 0 && frame->t_capture_ns - last_.t_capture_ns <= options_.direct_gap_ns;
   const ReprojectionResult r =
-      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, ++reprojection_mark_,
-                        std::max(wanted, 2 * options_.health.min_measurements), found.data());
+      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, followed,
+                        ++reprojection_mark_, std::max(wanted, 2 * options_.health.min_measurements), found.data());
   result->matches = r.matches;
   result->shaded = r.shaded;
   result->trials = r.trials;

@@ -1,5 +1,6 @@
 #include "vo_core/matcher.h"
 
+#include <cmath>
 #include <gtest/gtest.h>
 #include <vector>
 
@@ -17,7 +18,8 @@ struct Views {
   std::vector<std::uint8_t> storage_a, storage_b;
   rt::PyramidView ref, cur;
 
-  Views() {
+  Views() { build_both(); }
+  void build_both() {
     const auto build = [](const test::Picture& p, std::vector<std::uint8_t>* s) {
       s->resize(pyramid_bytes(320, 240, 4) + 256);
       const auto at = (reinterpret_cast<std::uintptr_t>(s->data()) + 63) / 64 * 64;
@@ -85,6 +87,56 @@ TEST(Matcher, DirectMatchFindsThePointAndEpipolarSearchItsDepth) {
   ASSERT_GT(tried, 20);
   EXPECT_GE(direct, tried * 8 / 10);
   EXPECT_GE(epipolar, tried * 6 / 10);
+}
+
+TEST(Matcher, ACoarserLevelFindsWhatMotionBlurTookFromTheFineOne) {
+  Views v;
+  // The picture as the camera sees it that turns by 9 pixels while the shutter is open.
+  const test::Picture sharp = v.b;
+  constexpr int kHalf = 4;
+  for (int y = 0; y < 240; ++y) {
+    for (int x = kHalf; x < 320 - kHalf; ++x) {
+      int sum = 0;
+      for (int d = -kHalf; d <= kHalf; ++d) sum += sharp.view().at(x + d, y);
+      v.b(x, y) = static_cast<std::uint8_t>(sum / (2 * kHalf + 1));
+    }
+  }
+  v.build_both();
+  int fine = 0, coarse = 0, tried = 0;
+  for (int y = 60; y < 190; y += 13) {
+    for (int x = 60; x < 260; x += 13) {
+      const KeyframeFeature f = v.feature(x, y);
+      const double d = v.distance(f);
+      Vec2 truth;
+      if (!v.camera.project(v.T_cur * (f.bearing * d), &truth) || !v.camera.in_image(truth, 25)) continue;
+      ++tried;
+      const auto near = [&](int coarser) {
+        const MatchResult m = match_direct(v.camera, {&v.ref, &f, d}, v.T_cur, v.cur,
+                                           (truth + Vec2(1.0, -0.8)).cast<float>(), 3, coarser);
+        EXPECT_TRUE(!m.found || m.level == coarser);
+        return m.found && (m.px.cast<double>() - truth).norm() < 1.0;
+      };
+      const bool on_the_fine = near(0);
+      fine += on_the_fine;
+      coarse += on_the_fine || near(1);
+    }
+  }
+  ASSERT_GT(tried, 60);
+  EXPECT_GT(coarse, fine * 5 / 4) << fine << " and " << coarse << " of " << tried;
+  const KeyframeFeature f = v.feature(150, 110);
+  EXPECT_FALSE(match_direct(v.camera, {&v.ref, &f, v.distance(f)}, SE3(), v.cur, f.px, 3, 4).found) << "above the top";
+}
+
+TEST(Matcher, UncertainDepthMattersAcrossTheLineOfSightOnly) {
+  const CameraModel camera = CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {}).value();
+  SE3 aside, ahead;
+  aside.t = Vec3(0.1, 0, 0);
+  ahead.t = Vec3(0, 0, -0.1);
+  const Vec3 axis = Vec3::UnitZ();
+  EXPECT_NEAR(depth_shift_px(camera, aside, axis, 0.5, 0.1), 260 * 0.1 * 0.1, 1e-6);
+  EXPECT_NEAR(depth_shift_px(camera, ahead, axis, 0.5, 0.1), 0.0, 1e-9);
+  // So near that it falls behind the other camera.
+  EXPECT_FALSE(std::isfinite(depth_shift_px(camera, ahead, axis, 0.5, 20.0)));
 }
 
 TEST(Matcher, TriangulationRefusesParallelRays) {
