@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "detector/silhouette.h"
+
 namespace godwit::detector {
 namespace {
 
@@ -59,6 +61,7 @@ Box BoxCarrier::to_the_edge(int i) const {
   if (cut.top) box.y0 = std::min(box.y0, 0.F);
   if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
   if (cut.bottom) box.y1 = std::max(box.y1, static_cast<float>(height_));
+  box.shape = shape_within(carried_.box[static_cast<std::size_t>(i)], box);
   return box;
 }
 

@@ -9,6 +9,7 @@
 #include "detector/box.h"
 #include "detector/decode.h"
 #include "detector/model_info.h"
+#include "detector/silhouette.h"
 #include "hal/rt/result.h"
 
 namespace godwit::detector {
@@ -22,6 +23,7 @@ struct DetectorOptions {
   Backend backend = Backend::kCpu;
   int threads = 1;  ///< of OpenCV, for the whole process: OpenCV has one setting only
   DecodeOptions decode;
+  SilhouetteOptions silhouette;
 };
 
 /// An 8-bit picture of one (grey) or three (blue, green, red) interleaved channels.
@@ -47,7 +49,8 @@ class Detector {
   Detector& operator=(Detector&&) noexcept;
   ~Detector();
 
-  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode). Grey is replicated into three
+  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode), with the
+  /// shape of what they hold where the network tells it. Grey is replicated into three
   /// channels. An empty picture or a failure inside OpenCV is an error, and `boxes` is then empty; the next call may
   /// succeed.
   rt::Result<void> detect(const PictureView& picture, BoxList* boxes);

@@ -60,6 +60,21 @@ TEST(BoxCarrier, GrowsWithWhatComesNearer) {
   EXPECT_NEAR(carrier.boxes()[0].height(), 210.F, 0.1F);
 }
 
+TEST(BoxCarrier, TheShapeGoesWithItsBoxAndWhatComesInAtTheEdgeIsCovered) {
+  BoxCarrier carrier(640, 480, no_growth());
+  carrier.advance(0, {}, {});
+  Box box{0.F, 100.F, 128.F, 300.F, 0.8F, 0};  // cut off on the left
+  box.shape.row.fill(0x0000ffffU);             // the left half of it
+  carrier.replace(0, {&box, 1});
+  EXPECT_EQ(carrier.boxes()[0].shape, box.shape);
+  carrier.advance(kFrame, grid(box, 128.F, 0.F), {});
+  ASSERT_EQ(carrier.boxes().size(), 1U);
+  EXPECT_NEAR(carrier.boxes()[0].x0, 0.F, 1e-3);
+  EXPECT_NEAR(carrier.boxes()[0].x1, 256.F, 1e-3);
+  // 0 to 128 has come in; of the box itself, now 128 to 256, the left half.
+  EXPECT_EQ(carrier.boxes()[0].shape.row[0], 0x00ffffffU);
+}
+
 TEST(BoxCarrier, WithoutFeaturesGoesWithTheCamera) {
   BoxCarrier carrier(640, 480, no_growth());
   carrier.advance(0, {}, {});

@@ -1,0 +1,34 @@
+// A box holds much that its object does not cover. The network's second output says what it does: boxes get the shape
+// of that. Pure computation.
+#pragma once
+
+#include <span>
+
+#include "detector/box.h"
+#include "detector/decode.h"
+#include "detector/model_info.h"
+
+namespace godwit::detector {
+
+/// Probability that something with a silhouette covers each cell of the network's input, row by row.
+struct SilhouetteMap {
+  std::span<const float> value;  ///< rows x columns
+  int columns = 0, rows = 0;
+};
+
+struct SilhouetteOptions {
+  float threshold = 0.3F;  ///< a cell at least this probable is covered: a missed limb costs more than a masked table
+  /// A silhouette that fills less of its box is not believed: the whole box stays masked.
+  float least_share = 0.15F;
+};
+
+/// Gives a shape to each box whose class has silhouettes (ModelInfo::silhouette); the others keep theirs. Holes are
+/// filled. A value that
+/// is not finite counts as covered. A map whose size is not its span's changes nothing. Does not allocate.
+void shape_boxes(const SilhouetteMap& map, const ModelInfo& info, const LetterboxFit& fit,
+                 const SilhouetteOptions& options, std::span<Box> boxes);
+
+/// The shape of `box` as it falls into `larger`, which contains it: what lies outside `box` counts as covered.
+BoxShape shape_within(const Box& box, const Box& larger);
+
+}  // namespace godwit::detector

@@ -1,0 +1,125 @@
+#include "detector/silhouette.h"
+
+#include <gtest/gtest.h>
+#include <limits>
+#include <vector>
+
+namespace godwit::detector {
+namespace {
+
+constexpr int kSide = 52;
+
+ModelInfo model() {
+  ModelInfo info;
+  info.input_width = info.input_height = 416;
+  info.classes = {"person", "car"};
+  info.movable = {true, true};
+  info.silhouette = {true, false};
+  return info;
+}
+
+/// A 640 x 480 picture in 416 x 416: 52 rows of border above and below.
+struct Scene {
+  ModelInfo info = model();
+  LetterboxFit fit = fit_letterbox(info, 640, 480);
+  std::vector<float> value = std::vector<float>(kSide * kSide, 0.F);
+
+  /// Sets what lies in the rectangle, in pixels of the picture.
+  void set(float x0, float y0, float x1, float y1, float v) {
+    for (int y = 0; y < kSide; ++y) {
+      for (int x = 0; x < kSide; ++x) {
+        const float px = ((static_cast<float>(x) + 0.5F) * 8.F - static_cast<float>(fit.left)) / fit.scale;
+        const float py = ((static_cast<float>(y) + 0.5F) * 8.F - static_cast<float>(fit.top)) / fit.scale;
+        if (px >= x0 && px < x1 && py >= y0 && py < y1) value[static_cast<std::size_t>(y * kSide + x)] = v;
+      }
+    }
+  }
+  Box shaped(Box box) const {
+    shape_boxes({value, kSide, kSide}, info, fit, {}, {&box, 1});
+    return box;
+  }
+};
+
+const Box kPerson{100.F, 50.F, 420.F, 370.F, 0.9F, 0};
+
+TEST(Silhouette, CellsAreCoveredWhereTheMapSaysSo) {
+  Scene scene;
+  scene.set(100.F, 50.F, 260.F, 370.F, 0.9F);  // the left half of the box
+  const Box box = scene.shaped(kPerson);
+  ASSERT_FALSE(box.shape.whole());
+  for (int y = 0; y < BoxShape::kCells; ++y) {
+    for (int x = 0; x < BoxShape::kCells; ++x) {
+      // A cell of the map is 12.3 pixels of the picture, one of the shape 10.
+      if (x < 14) EXPECT_TRUE(box.shape.covers(x, y)) << x << ' ' << y;
+      if (x > 17) EXPECT_FALSE(box.shape.covers(x, y)) << x << ' ' << y;
+    }
+  }
+}
+
+TEST(Silhouette, HolesAreFilledAndBaysAreNot) {
+  Scene scene;
+  scene.set(100.F, 50.F, 420.F, 370.F, 0.9F);
+  scene.set(200.F, 150.F, 300.F, 250.F, 0.F);  // a hole
+  scene.set(200.F, 300.F, 300.F, 370.F, 0.F);  // a bay, open below
+  const Box box = scene.shaped(kPerson);
+  EXPECT_TRUE(box.shape.covers(15, 15));
+  EXPECT_FALSE(box.shape.covers(15, 30));
+}
+
+TEST(Silhouette, OnlyClassesThatHaveOneGetAShape) {
+  Scene scene;
+  scene.set(100.F, 50.F, 260.F, 370.F, 0.9F);
+  Box car = kPerson, unknown = kPerson, none = kPerson;
+  car.class_id = 1;
+  unknown.class_id = 2;
+  none.class_id = -1;
+  EXPECT_TRUE(scene.shaped(car).shape.whole());
+  EXPECT_TRUE(scene.shaped(unknown).shape.whole());
+  EXPECT_TRUE(scene.shaped(none).shape.whole());
+}
+
+TEST(Silhouette, OneThatFillsNextToNothingOfItsBoxIsNotBelieved) {
+  Scene scene;
+  scene.set(100.F, 50.F, 130.F, 80.F, 0.9F);
+  EXPECT_TRUE(scene.shaped(kPerson).shape.whole());
+}
+
+TEST(Silhouette, WhatIsNoNumberCountsAsCovered) {
+  Scene scene;
+  scene.set(100.F, 50.F, 260.F, 370.F, std::numeric_limits<float>::quiet_NaN());
+  const Box box = scene.shaped(kPerson);
+  EXPECT_TRUE(box.shape.covers(5, 5));
+  EXPECT_FALSE(box.shape.covers(25, 5));
+}
+
+TEST(Silhouette, AMapOfAnotherSizeChangesNothing) {
+  const Scene scene;
+  Box box = kPerson;
+  shape_boxes({scene.value, kSide, kSide - 1}, scene.info, scene.fit, {}, {&box, 1});
+  shape_boxes({{}, 0, 0}, scene.info, scene.fit, {}, {&box, 1});
+  EXPECT_TRUE(box.shape.whole());
+}
+
+TEST(Silhouette, BoxesAtAndBeyondTheEdgeStayInsideTheMap) {
+  Scene scene;
+  scene.set(0.F, 0.F, 320.F, 480.F, 0.9F);
+  for (const Box& box : {Box{0.F, 0.F, 640.F, 480.F, 1.F, 0}, Box{-1e6F, -1e6F, 1e6F, 1e6F, 1.F, 0},
+                         Box{630.F, 470.F, 640.F, 480.F, 1.F, 0}, Box{0.F, 0.F, 0.5F, 0.5F, 1.F, 0}}) {
+    EXPECT_TRUE(scene.shaped(box).shape.covers(0, 31) || box.x0 > 600.F);
+  }
+}
+
+TEST(Silhouette, InALargerBoxItStaysWhereItWasAndTheRestIsCovered) {
+  Box box{100.F, 100.F, 200.F, 200.F, 1.F, 0};
+  box.shape.row.fill(0x0000ffffU);  // the left half
+  Box larger = box;
+  larger.x0 = 0.F;  // twice as wide
+  const BoxShape shape = shape_within(box, larger);
+  for (int y = 0; y < BoxShape::kCells; ++y) EXPECT_EQ(shape.row[static_cast<std::size_t>(y)], 0x00ffffffU);
+  EXPECT_EQ(shape_within(box, box), box.shape);
+  box.shape = {};
+  EXPECT_TRUE(shape_within(box, larger).whole());
+}
+
+}  // namespace
+}  // namespace godwit::detector
