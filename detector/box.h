@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 
@@ -11,6 +12,7 @@ namespace godwit::detector {
 constexpr int kMaxBoxes = 128;
 
 /// Which parts of a box its object covers: kCells x kCells equal cells; all of them until something better is known.
+/// The cells hang on the box's edges: who changes those gives it a new shape (silhouette.h).
 struct BoxShape {
   static constexpr int kCells = 32;
   std::array<std::uint32_t, kCells> row;  ///< from the top; bit x is cell x from the left

@@ -7,6 +7,14 @@
 #include <cstring>
 
 namespace godwit::detector {
+namespace {
+
+/// Clamped as floating point first: a huge value must not overflow the conversion. NaN becomes 0.
+int edge(float v, int limit) {
+  return v > 0.F ? static_cast<int>(std::min(v, static_cast<float>(limit))) : 0;
+}
+
+}  // namespace
 
 BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : margin_(margin) {
   assert(width > 0 && height > 0 && width <= rt::kMaxImageWidth && height <= rt::kMaxImageHeight);
@@ -28,15 +36,6 @@ BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : 
     at += static_cast<std::ptrdiff_t>(level_[i].stride) * level_[i].height;
   }
 }
-
-namespace {
-
-/// Clamped as floating point first: a huge value must not overflow the conversion.
-int edge(float v, int limit) {
-  return static_cast<int>(std::clamp(v, 0.F, static_cast<float>(limit)));
-}
-
-}  // namespace
 
 void BoxMask::mask_box(const Box& box) {
   if (!box.shape.whole()) return mask_shape(box);
@@ -69,14 +68,20 @@ void BoxMask::mask_shape(const Box& box) {
       const int last = edge(std::ceil((static_cast<float>(y + 1) + around - top) / h) - 1.F, kCells - 1);
       std::uint32_t cells = 0;
       for (int r = first; r <= last; ++r) cells |= box.shape.row[static_cast<std::size_t>(r)];
+      // What the margins join is written at once.
+      int x0 = 0, x1 = 0;
       while (cells != 0) {
         const int begin = std::countr_zero(cells);
         const int count = std::countr_one(cells >> begin);
         cells &= count == kCells ? 0U : ~(((std::uint32_t{1} << count) - 1U) << begin);
-        const int x0 = edge(std::floor(left + w * static_cast<float>(begin) - around), image.width);
-        const int x1 = edge(std::ceil(left + w * static_cast<float>(begin + count) + around), image.width);
-        if (x0 < x1) std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
+        const int left_px = edge(std::floor(left + w * static_cast<float>(begin) - around), image.width);
+        if (left_px > x1) {
+          std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
+          x0 = left_px;
+        }
+        x1 = std::max(x0, edge(std::ceil(left + w * static_cast<float>(begin + count) + around), image.width));
       }
+      std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
     }
   }
 }

@@ -125,8 +125,10 @@ rt::Result<void> Detector::State::run() {
   }
   if (wanted == 1) return {};
   const cv::Mat& map = outputs[1];
-  if (map.type() != CV_32F || !map.isContinuous() || map.dims != 4 || map.size[0] != 1 || map.size[1] != 1)
-    return rt::Error{path + ": the silhouettes are " + shape_of(map) + ", must be 1x1xROWSxCOLUMNS"};
+  if (map.type() != CV_32F || !map.isContinuous() || map.dims != 4 || map.size[0] != 1 || map.size[1] != 1 ||
+      map.size[2] < 1 || map.size[2] * info.input_width != map.size[3] * info.input_height)
+    return rt::Error{path + ": the silhouettes are " + shape_of(map) +
+                     ", must be 1x1xROWSxCOLUMNS in the proportion of the input"};
   return {};
 }
 

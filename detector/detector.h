@@ -39,7 +39,8 @@ struct PictureView {
 class Detector {
  public:
   /// Loads a model with the metadata beside it and runs it once, so that the first real picture is not the slow one.
-  /// Errors name the file and the reason: missing, truncated, an output of another shape or another number of classes.
+  /// Errors name the file and the reason: missing, truncated, an output of another shape or another number of classes,
+  /// outputs too many or too few.
   static rt::Result<Detector> open(const std::string& model_path, const DetectorOptions& options);
   /// The same with metadata given by the caller.
   static rt::Result<Detector> open(const std::string& model_path, const ModelInfo& info,

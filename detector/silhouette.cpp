@@ -1,7 +1,9 @@
 #include "detector/silhouette.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 
 namespace godwit::detector {
 namespace {
@@ -80,19 +82,39 @@ void shape_boxes(const SilhouetteMap& map, const ModelInfo& info, const Letterbo
   }
 }
 
-BoxShape shape_within(const Box& box, const Box& larger) {
+BoxShape shape_over(const Box& box, const Box& other, float reach_x, float reach_y, Outside outside) {
   BoxShape out;
-  if (box.shape.whole()) return out;
+  if (box.shape.whole() && outside == Outside::kCovered) return out;
+  // Cells of `box` that each column and row of `other` meets, and whether it meets what lies outside.
+  constexpr float kTouch = 1e-3F;  // rounding makes no neighbour
+  const auto meets = [](float low, float high, float begin, float side, float reach, Range* cells) {
+    const float first = (low - reach - begin) / side * kCells + kTouch;
+    const float end = (high + reach - begin) / side * kCells - kTouch;
+    const auto clamped = [](float v) { return v > 0.F ? static_cast<int>(std::min(v, float{kCells})) : 0; };
+    *cells = {clamped(first), clamped(std::ceil(end))};
+    return !(first >= 0.F && end <= kCells);
+  };
+  std::array<std::uint32_t, kCells> columns{};
+  std::array<bool, kCells> column_outside{};
+  const float w = other.width() / kCells, h = other.height() / kCells;
+  for (int x = 0; x < kCells; ++x) {
+    Range cells{};
+    const float left = other.x0 + w * static_cast<float>(x);
+    const auto i = static_cast<std::size_t>(x);
+    column_outside[i] = meets(left, left + w, box.x0, box.width(), reach_x, &cells);
+    for (int c = cells.first; c < cells.end; ++c) columns[i] |= std::uint32_t{1} << c;
+  }
   for (int y = 0; y < kCells; ++y) {
-    const float at_y = larger.y0 + larger.height() * (static_cast<float>(y) + 0.5F) / kCells;
-    const float v = (at_y - box.y0) / box.height() * kCells;
-    for (int x = 0; x < kCells; ++x) {
-      const float at_x = larger.x0 + larger.width() * (static_cast<float>(x) + 0.5F) / kCells;
-      const float u = (at_x - box.x0) / box.width() * kCells;
-      const bool inside = u >= 0.F && v >= 0.F && u < kCells && v < kCells;
-      if (inside && !box.shape.covers(static_cast<int>(u), static_cast<int>(v)))
-        out.row[static_cast<std::size_t>(y)] &= ~(std::uint32_t{1} << x);
+    Range cells{};
+    const float top = other.y0 + h * static_cast<float>(y);
+    const bool row_outside = meets(top, top + h, box.y0, box.height(), reach_y, &cells);
+    std::uint32_t seen = 0, row = 0;
+    for (int r = cells.first; r < cells.end; ++r) seen |= box.shape.row[static_cast<std::size_t>(r)];
+    for (std::size_t x = 0; x < kCells; ++x) {
+      const bool beyond = outside == Outside::kCovered && (row_outside || column_outside[x]);
+      row |= static_cast<std::uint32_t>(beyond || (seen & columns[x]) != 0) << x;
     }
+    out.row[static_cast<std::size_t>(y)] = row;
   }
   return out;
 }

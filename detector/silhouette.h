@@ -22,13 +22,17 @@ struct SilhouetteOptions {
   float least_share = 0.15F;
 };
 
-/// Gives a shape to each box whose class has silhouettes (ModelInfo::silhouette); the others keep theirs. Holes are
-/// filled. A value that
-/// is not finite counts as covered. A map whose size is not its span's changes nothing. Does not allocate.
+/// Gives a shape to each box whose class has silhouettes (ModelInfo::silhouette), with holes filled; the others keep
+/// theirs. NaN counts as covered. A map whose size is not its span's changes nothing. Does not allocate.
 void shape_boxes(const SilhouetteMap& map, const ModelInfo& info, const LetterboxFit& fit,
                  const SilhouetteOptions& options, std::span<Box> boxes);
 
-/// The shape of `box` as it falls into `larger`, which contains it: what lies outside `box` counts as covered.
-BoxShape shape_within(const Box& box, const Box& larger);
+/// What a shape says of the picture outside its box.
+enum class Outside { kFree, kCovered };
+
+/// The shape of `box` over `other`: a cell is covered where any covered cell of `box` lies less than `reach_x`,
+/// `reach_y` pixels away, and outside `box` as `outside` says. The edges of a box whose shape is not whole must not
+/// change but by this. Does not allocate.
+BoxShape shape_over(const Box& box, const Box& other, float reach_x, float reach_y, Outside outside);
 
 }  // namespace godwit::detector

@@ -23,9 +23,10 @@ struct MapperOptions {
   double converged_sigma = 0.04;    ///< sigma of depth over depth below which a seed becomes a point
   double starving_sigma = 0.15;     ///< the same when the tracker sees next to no points
   int starving_features = 120;      ///< tracked features below which the limit begins to rise
-  double crowded = 0.4;             ///< share of the picture under the mask above which it is hunger too
+  double crowded = 0.3;             ///< share of the picture under the mask above which it is hunger too
   double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
-  double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
+  double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it,
+  double hungry_sigma = 0.5;        ///< and sigma over depth: towards the epipole nothing moves, whatever its depth
   int agreeing_matches = 4;         ///< hungry in a crowd: so many matches that agree on the depth are enough
   double match_sigma_px = 0.6;      ///< noise of an epipolar match
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once

@@ -55,8 +55,9 @@ struct EpipolarResult {
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
                               const rt::PyramidView& cur, double depth_min, double depth_max, int max_level);
 
-/// By how much one sigma of inverse depth, either way, moves what is seen along f_ref (unit) in the other picture [px]:
-/// along the line of sight of that camera by nothing. Infinite where it leaves the other camera's view.
+/// By how much one sigma of inverse depth moves what is seen along f_ref (unit) in the other picture [px], the mean of
+/// nearer and farther: by nothing along that camera's line of sight. Infinite where it falls behind that camera or
+/// beyond its lens.
 double depth_shift_px(const CameraModel& camera, const SE3& T_cur_ref, const Vec3& f_ref, double inv_depth,
                       double sigma);
 

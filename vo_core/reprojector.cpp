@@ -126,10 +126,10 @@ bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView&
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, const Vec6& velocity, bool followed, std::uint32_t mark,
+                                    const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark,
                                     int wanted, FrameFeature* out) {
   ReprojectionResult result;
-  coarser_ = followed ? options_.coarser_levels : 0;
+  coarser_ = coarser ? options_.coarser_levels : 0;
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;

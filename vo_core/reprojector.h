@@ -16,7 +16,7 @@ namespace godwit::vo {
 struct ReprojectorOptions {
   int cell_px = 28;
   int max_features = 170;
-  int max_trials = 360;  ///< at most 512
+  int max_trials = 360;  ///< points; at most 512
   int max_keyframes = 12;
   int max_level = 3;
   /// Levels above a point's own on which it is looked for again: motion blur takes the fine levels first.
@@ -43,10 +43,12 @@ class Reprojector {
   Reprojector(const CameraModel& camera, const ReprojectorOptions& options);
 
   /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
-  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected). `followed`: the pose
-  /// continues that of the last picture; a guess does without the coarser levels, on which chance looks alike sooner.
+  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected). `coarser`: what is
+  /// not found is looked for on coarser_levels, too. Only between movers, where every point counts, and only where the
+  /// pose continues that of the last picture: elsewhere chance alikeness on them let false poses pass after blurred
+  /// pictures.
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, const Vec6& velocity, bool followed, std::uint32_t mark, int wanted,
+                         const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark, int wanted,
                          FrameFeature* out);
 
   /// Writes found and missed of the last run into the points. Only for a run whose pose stood: a black picture or a
@@ -78,7 +80,7 @@ class Reprojector {
   ReprojectorOptions options_;
   int columns_, rows_;
   int candidate_count_ = 0;
-  int coarser_ = 0;  ///< coarser_levels, or 0 for a guess
+  int coarser_ = 0;  ///< of the run at hand
   struct Trial {
     std::uint16_t point;
     bool found;

@@ -110,14 +110,12 @@ bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result
   return found.found;
 }
 
-bool Tracker::measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result) {
+bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result) {
   rt::TimeNs t0 = now();
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
   const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
-  const bool followed =
-      last_.slot >= 0 && feature_count_ > 0 && frame->t_capture_ns - last_.t_capture_ns <= options_.direct_gap_ns;
   const ReprojectionResult r =
-      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, followed,
+      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, coarser,
                         ++reprojection_mark_, std::max(wanted, 2 * options_.health.min_measurements), found.data());
   result->matches = r.matches;
   result->shaded = r.shaded;
@@ -271,8 +269,8 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   const bool guessed = !frame->crowded    ? align_with_keyframe(attempt, frame, result)
                        : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
                                           : align_with_keyframe(attempt / 2, frame, result);
-  if (guessed && measure(in, frame, options_.rough_measurements, result) &&
-      measure(in, frame, least_measurements(*frame), result) &&
+  if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
+      measure(in, false, frame, least_measurements(*frame), result) &&
       (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
     return true;
   if (result->matches == 0) result->measurements = 0;
@@ -288,7 +286,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (have_velocity_ && near && gap > 0) guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     align_with_last(in, frame, guess, result);
-    if (measure(in, frame, least_measurements(*frame), result)) {
+    if (measure(in, near && frame->crowded, frame, least_measurements(*frame), result)) {
       const bool counts = result->measurements >= options_.health.min_measurements;
       const bool sure = few_but_sure(*frame, *result);
       const bool followed = near && unproved_ == 0;

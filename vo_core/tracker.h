@@ -95,7 +95,7 @@ struct TrackerOptions {
   /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
   /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
   /// from, and to map with, for a while.
-  double crowded = 0.4;
+  double crowded = 0.3;
   Gate few_but_sure{18, 0.8, 0.5, 1.2};
   int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
   int weak_beside = 12;  ///< of the measurements outside the mask
@@ -150,7 +150,8 @@ class Tracker {
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
   bool align_with_keyframe(int attempt, Frame* frame, FrameResult* result);
   bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
-  bool measure(const FrameInput& in, Frame* frame, int min_measurements, FrameResult* result);
+  // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
+  bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
   // These two say in refusal_ what they refuse for.
   bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
   bool enough_found(double share, const FrameResult& r);

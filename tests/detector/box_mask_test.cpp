@@ -95,6 +95,11 @@ TEST(BoxMask, AShapeBeyondThePictureIsClipped) {
   Box box{-1e9F, -20.F, 1e9F, 500.F, 0.9F, 0};
   box.shape.row.fill(0xaaaaaaaaU);
   mask.update({&box, 1}, kMovable);
+  // Its cells are 6e7 pixels wide; the one left of the middle reaches in by its margin, 5 % of 520 + 2 + 1.
+  EXPECT_EQ(count(mask.view().level[0]), 29 * 48);
+  box = {-3e38F, -3e38F, 3e38F, 3e38F, 0.9F, 0};
+  box.shape.row.fill(1);
+  mask.update({&box, 1}, kMovable);
   box = {-100.F, -100.F, -50.F, -50.F, 0.9F, 0};
   box.shape.row.fill(1);
   mask.update({&box, 1}, kMovable);

@@ -94,7 +94,8 @@ TEST(Silhouette, WhatIsNoNumberCountsAsCovered) {
 }
 
 TEST(Silhouette, AMapOfAnotherSizeChangesNothing) {
-  const Scene scene;
+  Scene scene;
+  scene.set(100.F, 50.F, 260.F, 370.F, 0.9F);
   Box box = kPerson;
   shape_boxes({scene.value, kSide, kSide - 1}, scene.info, scene.fit, {}, {&box, 1});
   shape_boxes({{}, 0, 0}, scene.info, scene.fit, {}, {&box, 1});
@@ -104,22 +105,55 @@ TEST(Silhouette, AMapOfAnotherSizeChangesNothing) {
 TEST(Silhouette, BoxesAtAndBeyondTheEdgeStayInsideTheMap) {
   Scene scene;
   scene.set(0.F, 0.F, 320.F, 480.F, 0.9F);
-  for (const Box& box : {Box{0.F, 0.F, 640.F, 480.F, 1.F, 0}, Box{-1e6F, -1e6F, 1e6F, 1e6F, 1.F, 0},
-                         Box{630.F, 470.F, 640.F, 480.F, 1.F, 0}, Box{0.F, 0.F, 0.5F, 0.5F, 1.F, 0}}) {
-    EXPECT_TRUE(scene.shaped(box).shape.covers(0, 31) || box.x0 > 600.F);
+  for (const Box& box :
+       {Box{0.F, 0.F, 640.F, 480.F, 1.F, 0}, Box{-1e6F, -1e6F, 1e6F, 1e6F, 1.F, 0}, Box{0.F, 0.F, 0.5F, 0.5F, 1.F, 0}})
+    EXPECT_TRUE(scene.shaped(box).shape.covers(0, 31));
+  EXPECT_TRUE(scene.shaped(Box{630.F, 470.F, 640.F, 480.F, 1.F, 0}).shape.whole()) << "nothing of it is seen";
+}
+
+Box left_half() {
+  Box box{100.F, 100.F, 200.F, 200.F, 1.F, 0};
+  box.shape.row.fill(0x0000ffffU);
+  return box;
+}
+
+TEST(Silhouette, OverAWiderBoxTheShapeStaysWhereItWas) {
+  const Box box = left_half();
+  Box wider = box;
+  wider.x0 = 0.F;  // twice as wide
+  for (std::size_t y = 0; y < BoxShape::kCells; ++y) {
+    EXPECT_EQ(shape_over(box, wider, 0.F, 0.F, Outside::kCovered).row[y], 0x00ffffffU);
+    EXPECT_EQ(shape_over(box, wider, 0.F, 0.F, Outside::kFree).row[y], 0x00ff0000U);
+  }
+  EXPECT_EQ(shape_over(box, box, 0.F, 0.F, Outside::kCovered), box.shape);
+  EXPECT_EQ(shape_over(box, box, 0.F, 0.F, Outside::kFree), box.shape);
+  EXPECT_TRUE(shape_over({100.F, 100.F, 200.F, 200.F, 1.F, 0}, wider, 0.F, 0.F, Outside::kCovered).whole());
+}
+
+TEST(Silhouette, OverAPartOfTheBoxOnlyThatPartOfTheShapeCounts) {
+  const Box box = left_half();
+  Box part = box;
+  part.x0 = 150.F;
+  EXPECT_EQ(shape_over(box, part, 0.F, 0.F, Outside::kCovered).row[7], 0U);
+  part.x0 = 125.F;
+  EXPECT_EQ(shape_over(box, part, 0.F, 0.F, Outside::kFree).row[7], 0x000007ffU) << "25 of 75 pixels";
+}
+
+TEST(Silhouette, ALimbOfOneCellIsNotLostInAWiderBox) {
+  Box box{100.F, 100.F, 132.F, 132.F, 1.F, 0};
+  Box wider{100.F, 100.F, 196.F, 196.F, 1.F, 0};
+  for (int x = 0; x < BoxShape::kCells; ++x) {
+    box.shape.row.fill(0);
+    box.shape.row[9] = std::uint32_t{1} << x;
+    const BoxShape shape = shape_over(box, wider, 0.F, 0.F, Outside::kFree);
+    EXPECT_TRUE(shape.covers(x / 3, 3)) << x;
   }
 }
 
-TEST(Silhouette, InALargerBoxItStaysWhereItWasAndTheRestIsCovered) {
-  Box box{100.F, 100.F, 200.F, 200.F, 1.F, 0};
-  box.shape.row.fill(0x0000ffffU);  // the left half
-  Box larger = box;
-  larger.x0 = 0.F;  // twice as wide
-  const BoxShape shape = shape_within(box, larger);
-  for (int y = 0; y < BoxShape::kCells; ++y) EXPECT_EQ(shape.row[static_cast<std::size_t>(y)], 0x00ffffffU);
-  EXPECT_EQ(shape_within(box, box), box.shape);
-  box.shape = {};
-  EXPECT_TRUE(shape_within(box, larger).whole());
+TEST(Silhouette, ReachWidensTheShapeInwards) {
+  const Box box = left_half();
+  const BoxShape shape = shape_over(box, box, 5.F, 0.F, Outside::kFree);  // 1.6 cells
+  EXPECT_EQ(shape.row[0], 0x0003ffffU);
 }
 
 }  // namespace

@@ -272,6 +272,7 @@ TEST(Crowd, FewFeaturesBesideSmallMoversAreOnlyFew) {
   const auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 7, 0.35}});
   TrackerOptions options;
   options.health.min_measurements = few();
+  options.crowded = 0.4;
   const Flight flight = fly(order, options);
   ASSERT_TRUE(flight.frames[kFree - 1].tracked);
   for (std::size_t i = kFree; i < order.size(); ++i) {
