@@ -2,26 +2,12 @@
 #pragma once
 
 #include <array>
-#include <cstddef>
-#include <cstdint>
 #include <span>
 
 namespace godwit::detector {
 
 /// Most boxes that leave the detector for one picture; the surest stay.
 constexpr int kMaxBoxes = 128;
-
-/// Which parts of a box its object covers: kCells x kCells equal cells; all of them until something better is known.
-/// The cells hang on the box's edges: who changes those gives it a new shape (silhouette.h).
-struct BoxShape {
-  static constexpr int kCells = 32;
-  std::array<std::uint32_t, kCells> row;  ///< from the top; bit x is cell x from the left
-
-  constexpr BoxShape() { row.fill(~std::uint32_t{0}); }
-  bool whole() const { return *this == BoxShape{}; }
-  bool covers(int x, int y) const { return row[static_cast<std::size_t>(y)] >> x & 1U; }
-  bool operator==(const BoxShape&) const = default;
-};
 
 /// Edges in picture pixels, where pixel (i, j) covers [i, i + 1) x [j, j + 1). Finite, inside the picture, x0 < x1, y0
 /// < y1.
@@ -30,7 +16,6 @@ struct Box {
   float score = 0.F;  ///< 0..1
   int class_id = 0;   ///< index into ModelInfo::classes
   int track = -1;     ///< names the same thing from detection to detection; -1: not followed
-  BoxShape shape{};
 
   float width() const { return x1 - x0; }
   float height() const { return y1 - y0; }

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "detector/silhouette.h"
-
 namespace godwit::detector {
 namespace {
 
@@ -55,19 +53,12 @@ void BoxCarrier::remember(Step* step) const {
 }
 
 Box BoxCarrier::to_the_edge(int i) const {
-  const Box& carried = carried_.box[static_cast<std::size_t>(i)];
+  Box box = carried_.box[static_cast<std::size_t>(i)];
   const Edges cut = cut_[static_cast<std::size_t>(i)];
-  const float w = static_cast<float>(width_), h = static_cast<float>(height_);
-  const Edges stretched{cut.left && carried.x0 > 0.F, cut.top && carried.y0 > 0.F, cut.right && carried.x1 < w,
-                        cut.bottom && carried.y1 < h};
-  Box box = carried;
-  if (stretched.left) box.x0 = 0.F;
-  if (stretched.top) box.y0 = 0.F;
-  if (stretched.right) box.x1 = w;
-  if (stretched.bottom) box.y1 = h;
-  // Nobody has seen yet what comes in there.
-  if (stretched.left || stretched.top || stretched.right || stretched.bottom)
-    box.shape = shape_over(carried, box, 0.F, 0.F, Outside::kCovered);
+  if (cut.left) box.x0 = std::min(box.x0, 0.F);
+  if (cut.top) box.y0 = std::min(box.y0, 0.F);
+  if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
+  if (cut.bottom) box.y1 = std::max(box.y1, static_cast<float>(height_));
   return box;
 }
 
@@ -184,10 +175,7 @@ void BoxCarrier::show() {
     grown.y0 = std::max(b.y0 - gy, 0.F);
     grown.x1 = std::min(b.x1 + gx, static_cast<float>(width_));
     grown.y1 = std::min(b.y1 + gy, static_cast<float>(height_));
-    if (!(grown.x0 < grown.x1 && grown.y0 < grown.y1)) continue;
-    // A shape grows inwards, too: its gaps close.
-    if (!b.shape.whole()) grown.shape = shape_over(b, grown, gx, gy, Outside::kFree);
-    shown_.push(grown);
+    if (grown.x0 < grown.x1 && grown.y0 < grown.y1) shown_.push(grown);
   }
 }
 

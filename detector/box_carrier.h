@@ -34,8 +34,8 @@ struct CarrierLimits {
   float cut_off_share = 0.01F;
 };
 
-/// Holds the boxes of the newest detection and brings them, with their shapes, to each new picture. Pure logic; after
-/// construction no allocation. One thread.
+/// Holds the boxes of the newest detection and brings them to each new picture. Pure logic; after construction no
+/// allocation. One thread.
 class BoxCarrier {
  public:
   /// Pictures back to which a late detection can be carried forward.

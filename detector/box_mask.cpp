@@ -1,20 +1,11 @@
 #include "detector/box_mask.h"
 
 #include <algorithm>
-#include <bit>
 #include <cassert>
 #include <cmath>
 #include <cstring>
 
 namespace godwit::detector {
-namespace {
-
-/// Clamped as floating point first: a huge value must not overflow the conversion. NaN becomes 0.
-int edge(float v, int limit) {
-  return v > 0.F ? static_cast<int>(std::min(v, static_cast<float>(limit))) : 0;
-}
-
-}  // namespace
 
 BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : margin_(margin) {
   assert(width > 0 && height > 0 && width <= rt::kMaxImageWidth && height <= rt::kMaxImageHeight);
@@ -38,51 +29,20 @@ BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : 
 }
 
 void BoxMask::mask_box(const Box& box) {
-  if (!box.shape.whole()) return mask_shape(box);
   const float mx = margin_.pixels + margin_.share * box.width(), my = margin_.pixels + margin_.share * box.height();
   for (int l = 0; l < view_.levels; ++l) {
     const rt::MutableImageView& image = level_[static_cast<std::size_t>(l)];
     const float shrink = 1.F / static_cast<float>(1 << l);
+    // Clamped as floating point first: a huge value must not overflow the conversion.
+    const auto edge = [](float v, int limit) {
+      return static_cast<int>(std::clamp(v, 0.F, static_cast<float>(limit)));
+    };
     const int x0 = edge(std::floor((box.x0 - mx) * shrink - margin_.level_pixels), image.width);
     const int x1 = edge(std::ceil((box.x1 + mx) * shrink + margin_.level_pixels), image.width);
     const int y0 = edge(std::floor((box.y0 - my) * shrink - margin_.level_pixels), image.height);
     const int y1 = edge(std::ceil((box.y1 + my) * shrink + margin_.level_pixels), image.height);
     if (x1 <= x0) continue;
     for (int y = y0; y < y1; ++y) std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
-  }
-}
-
-void BoxMask::mask_shape(const Box& box) {
-  constexpr int kCells = BoxShape::kCells;
-  const float margin = margin_.pixels + margin_.share * std::min(box.width(), box.height());
-  for (int l = 0; l < view_.levels; ++l) {
-    const rt::MutableImageView& image = level_[static_cast<std::size_t>(l)];
-    const float shrink = 1.F / static_cast<float>(1 << l);
-    const float around = margin * shrink + margin_.level_pixels;
-    const float left = box.x0 * shrink, top = box.y0 * shrink;
-    const float w = box.width() * shrink / kCells, h = box.height() * shrink / kCells;
-    const int end = edge(std::ceil(box.y1 * shrink + around), image.height);
-    for (int y = edge(std::floor(top - around), image.height); y < end; ++y) {
-      // Rows of the shape whose margin reaches this row of pixels, [y, y + 1).
-      const int first = edge(std::floor((static_cast<float>(y) - around - top) / h), kCells - 1);
-      const int last = edge(std::ceil((static_cast<float>(y + 1) + around - top) / h) - 1.F, kCells - 1);
-      std::uint32_t cells = 0;
-      for (int r = first; r <= last; ++r) cells |= box.shape.row[static_cast<std::size_t>(r)];
-      // What the margins join is written at once.
-      int x0 = 0, x1 = 0;
-      while (cells != 0) {
-        const int begin = std::countr_zero(cells);
-        const int count = std::countr_one(cells >> begin);
-        cells &= count == kCells ? 0U : ~(((std::uint32_t{1} << count) - 1U) << begin);
-        const int left_px = edge(std::floor(left + w * static_cast<float>(begin) - around), image.width);
-        if (left_px > x1) {
-          std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
-          x0 = left_px;
-        }
-        x1 = std::max(x0, edge(std::ceil(left + w * static_cast<float>(begin + count) + around), image.width));
-      }
-      std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
-    }
   }
 }
 

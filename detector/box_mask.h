@@ -11,8 +11,7 @@
 namespace godwit::detector {
 
 struct MaskMargin {
-  float share = 0.05F;       ///< of the box's side, on each side: boxes cut off hands and wing mirrors. Around a shape
-                             ///< that does not fill its box: of the shorter side
+  float share = 0.05F;       ///< of the box's side, on each side: boxes cut off hands and wing mirrors
   float pixels = 2.F;        ///< of level 0, on each side
   float level_pixels = 1.F;  ///< of each level itself: half-sampling smears the edge of a mover into its neighbour
 };
@@ -26,9 +25,9 @@ class BoxMask {
   /// kMaxImageHeight.
   BoxMask(int width, int height, int levels, const MaskMargin& margin = {});
 
-  /// Masks the boxes whose class may move (`movable[class_id]`), by their shapes, nothing else. A class number outside
-  /// `movable` counts as movable: what is unknown is not trusted. Boxes that are not finite are skipped; the rest is
-  /// clipped to the picture.
+  /// Masks the boxes whose class may move (`movable[class_id]`), nothing else. A class number outside `movable` counts
+  /// as movable: what is unknown is not trusted. Boxes that are not finite are skipped; the rest is clipped to the
+  /// picture.
   void update(std::span<const Box> boxes, const std::vector<bool>& movable);
 
   /// Valid until the next update().
@@ -38,7 +37,6 @@ class BoxMask {
 
  private:
   void mask_box(const Box& box);
-  void mask_shape(const Box& box);
 
   MaskMargin margin_;
   std::vector<std::uint8_t> storage_;

@@ -4,7 +4,6 @@
 #include <opencv2/core.hpp>
 #include <opencv2/dnn.hpp>
 #include <opencv2/imgproc.hpp>
-#include <utility>
 #include <vector>
 
 namespace godwit::detector {
@@ -109,12 +108,7 @@ rt::Result<void> Detector::State::run() {
   } catch (const cv::Exception& e) {
     return rt::Error{path + ": OpenCV cannot run this network: " + e.err};
   }
-  const std::size_t wanted = info.has_silhouettes() ? 2 : 1;
-  if (outputs.size() != wanted)
-    return rt::Error{path + ": has " + std::to_string(outputs.size()) + " outputs; by its metadata it must have " +
-                     (wanted == 1 ? "one" : "two, boxes and silhouettes")};
-  // OpenCV does not keep the file's order.
-  if (wanted == 2 && outputs[0].dims == 4) std::swap(outputs[0], outputs[1]);
+  if (outputs.size() != 1) return rt::Error{path + ": has " + std::to_string(outputs.size()) + " outputs, must be one"};
   const cv::Mat& y = outputs[0];
   const int rows = info.output_rows(), values = 5 + static_cast<int>(info.classes.size());
   if (y.type() != CV_32F || !y.isContinuous() || y.dims != 3 || y.size[0] != 1 || y.size[1] != rows ||
@@ -123,12 +117,6 @@ rt::Result<void> Detector::State::run() {
                      std::to_string(info.classes.size()) + " classes make it 1x" + std::to_string(rows) + "x" +
                      std::to_string(values)};
   }
-  if (wanted == 1) return {};
-  const cv::Mat& map = outputs[1];
-  if (map.type() != CV_32F || !map.isContinuous() || map.dims != 4 || map.size[0] != 1 || map.size[1] != 1 ||
-      map.size[2] < 1 || map.size[2] * info.input_width != map.size[3] * info.input_height)
-    return rt::Error{path + ": the silhouettes are " + shape_of(map) +
-                     ", must be 1x1xROWSxCOLUMNS in the proportion of the input"};
   return {};
 }
 
@@ -191,11 +179,6 @@ rt::Result<void> Detector::detect(const PictureView& picture, BoxList* boxes) {
   if (!ran.ok()) return ran;
   const cv::Mat& y = state_->outputs[0];
   state_->decoder.decode({y.ptr<float>(), y.total()}, state_->fit, boxes);
-  if (state_->info.has_silhouettes()) {
-    const cv::Mat& map = state_->outputs[1];
-    shape_boxes({{map.ptr<float>(), map.total()}, map.size[3], map.size[2]}, state_->info, state_->fit,
-                state_->options.silhouette, boxes->view());
-  }
   return {};
 }
 

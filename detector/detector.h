@@ -9,7 +9,6 @@
 #include "detector/box.h"
 #include "detector/decode.h"
 #include "detector/model_info.h"
-#include "detector/silhouette.h"
 #include "hal/rt/result.h"
 
 namespace godwit::detector {
@@ -23,7 +22,6 @@ struct DetectorOptions {
   Backend backend = Backend::kCpu;
   int threads = 1;  ///< of OpenCV, for the whole process: OpenCV has one setting only
   DecodeOptions decode;
-  SilhouetteOptions silhouette;
 };
 
 /// An 8-bit picture of one (grey) or three (blue, green, red) interleaved channels.
@@ -39,8 +37,7 @@ struct PictureView {
 class Detector {
  public:
   /// Loads a model with the metadata beside it and runs it once, so that the first real picture is not the slow one.
-  /// Errors name the file and the reason: missing, truncated, an output of another shape or another number of classes,
-  /// outputs too many or too few.
+  /// Errors name the file and the reason: missing, truncated, an output of another shape or another number of classes.
   static rt::Result<Detector> open(const std::string& model_path, const DetectorOptions& options);
   /// The same with metadata given by the caller.
   static rt::Result<Detector> open(const std::string& model_path, const ModelInfo& info,
@@ -50,8 +47,7 @@ class Detector {
   Detector& operator=(Detector&&) noexcept;
   ~Detector();
 
-  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode), with the
-  /// shape of what they hold where the network tells it. Grey is replicated into three
+  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode). Grey is replicated into three
   /// channels. An empty picture or a failure inside OpenCV is an error, and `boxes` is then empty; the next call may
   /// succeed.
   rt::Result<void> detect(const PictureView& picture, BoxList* boxes);

@@ -12,9 +12,8 @@
 namespace godwit::detector {
 namespace {
 
-constexpr std::array<std::string_view, 10> kKeys = {"layout",  "input_width", "input_height", "channel_order",
-                                                    "scale",   "letterbox",   "fill",         "classes",
-                                                    "movable", "silhouettes"};
+constexpr std::array<std::string_view, 9> kKeys = {"layout",    "input_width", "input_height", "channel_order", "scale",
+                                                   "letterbox", "fill",        "classes",      "movable"};
 constexpr std::size_t kMaxFileBytes = 64 * 1024;
 
 /// Reads keys one by one and keeps the first complaint.
@@ -62,20 +61,6 @@ class Reader {
     return out;
   }
 
-  /// By place in `all`, whether the list under `key` names it.
-  std::vector<bool> some_of(std::string_view key, const std::vector<std::string>& all) {
-    std::vector<bool> out(all.size(), false);
-    for (const std::string& name : names(key, 0)) {
-      const auto at = std::find(all.begin(), all.end(), name);
-      if (at == all.end()) {
-        complain(key, "names out of classes, \"" + name + "\" is none");
-      } else {
-        out[static_cast<std::size_t>(at - all.begin())] = true;
-      }
-    }
-    return out;
-  }
-
   void complain(std::string_view key, const std::string& allowed) {
     if (error_) return;
     error_ = std::string(name_) + ": " + std::string(key) +
@@ -95,10 +80,6 @@ int ModelInfo::output_rows() const {
   int cells = 0;
   for (const int stride : {8, 16, 32}) cells += (input_width / stride) * (input_height / stride);
   return layout == Layout::kYolov5 ? 3 * cells : cells;
-}
-
-bool ModelInfo::has_silhouettes() const {
-  return std::find(silhouette.begin(), silhouette.end(), true) != silhouette.end();
 }
 
 rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view name) {
@@ -132,9 +113,15 @@ rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view n
   info.placement = reader.first_of("letterbox", "centre", "top_left") ? Placement::kCentre : Placement::kTopLeft;
   info.fill = reader.whole("fill", 0, 255, 1);
   info.classes = reader.names("classes", 1);
-  info.movable = reader.some_of("movable", info.classes);
-  info.silhouette.assign(info.classes.size(), false);
-  if (table.contains("silhouettes")) info.silhouette = reader.some_of("silhouettes", info.classes);
+  info.movable.assign(info.classes.size(), false);
+  for (const std::string& moves : reader.names("movable", 0)) {
+    const auto at = std::find(info.classes.begin(), info.classes.end(), moves);
+    if (at == info.classes.end()) {
+      reader.complain("movable", "names out of classes, \"" + moves + "\" is none");
+    } else {
+      info.movable[static_cast<std::size_t>(at - info.classes.begin())] = true;
+    }
+  }
   if (reader.error()) return rt::Error{*reader.error()};
   return info;
 }

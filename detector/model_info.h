@@ -29,12 +29,9 @@ struct ModelInfo {
   int fill = 114;                    ///< pixel value around the letterboxed picture
   std::vector<std::string> classes;  ///< by class number
   std::vector<bool> movable;         ///< by class number: may move, so its pixels are not trusted
-  /// By class number: a second output, 1 x 1 x rows x columns, says which of its pixels such a thing covers. Optional.
-  std::vector<bool> silhouette;
 
   /// Rows that the output must have: cells of strides 8, 16 and 32, times three anchors for YOLOv5.
   int output_rows() const;
-  bool has_silhouettes() const;
 };
 
 /// Reads metadata from TOML text; `name` is the file's name for messages. Unknown keys, missing keys and values out of

@@ -265,12 +265,11 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
     return;
   }
   ++seed->matches;
-  // While the tracker starves, a seed will do whose uncertain depth moves it by little in the picture at hand: little
-  // motion needs little depth.
+  // While the tracker starves, a seed will do whose uncertain depth moves it by less than the match noise in the
+  // picture at hand: little motion needs little depth.
+  const double shift_px = camera_.fx() * t_host_cur.norm() * e.inv_depth * e.relative_sigma();
   const bool hungry = hunger_ > options_.hungry;
-  const bool good_enough = hungry && seed->matches >= 3 && e.relative_sigma() < options_.hungry_sigma &&
-                           depth_shift_px(camera_, T_cur_host, seed->feature.bearing, e.inv_depth,
-                                          std::sqrt(e.variance)) < options_.hungry_shift_px;
+  const bool good_enough = hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
   // The filter takes long to rule out that matches are chance. Where several, one after the other, are of one depth,
   // they are not; between movers there is no time to wait.
   seed->agreed.add(1.0 / r.depth, tau2);

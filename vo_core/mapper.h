@@ -25,8 +25,7 @@ struct MapperOptions {
   int starving_features = 120;      ///< tracked features below which the limit begins to rise
   double crowded = 0.3;             ///< share of the picture under the mask above which it is hunger too
   double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
-  double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it,
-  double hungry_sigma = 0.5;        ///< and sigma over depth: towards the epipole nothing moves, whatever its depth
+  double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
   int agreeing_matches = 4;         ///< hungry in a crowd: so many matches that agree on the depth are enough
   double match_sigma_px = 0.6;      ///< noise of an epipolar match
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once

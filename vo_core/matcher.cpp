@@ -3,7 +3,6 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "vo_core/patch.h"
 
@@ -149,15 +148,6 @@ MatchResult match_direct(const CameraModel& camera, const PatchSource& source, c
   ReferencePatch patch;
   if (!warp_patch(source, A, level, &patch)) return {};
   return align_match(cur, patch, source, A, level, px_guess, false);
-}
-
-double depth_shift_px(const CameraModel& camera, const SE3& T_cur_ref, const Vec3& f_ref, double inv_depth,
-                      double sigma) {
-  Vec2 nearer, farther;
-  if (!camera.project(T_cur_ref * (f_ref / (inv_depth + sigma)), &nearer) ||
-      !camera.project(T_cur_ref * (f_ref / std::max(inv_depth - sigma, 1e-4)), &farther))
-    return std::numeric_limits<double>::infinity();
-  return 0.5 * (nearer - farther).norm();
 }
 
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth) {

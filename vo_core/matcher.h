@@ -55,12 +55,6 @@ struct EpipolarResult {
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
                               const rt::PyramidView& cur, double depth_min, double depth_max, int max_level);
 
-/// By how much one sigma of inverse depth moves what is seen along f_ref (unit) in the other picture [px], the mean of
-/// nearer and farther: by nothing along that camera's line of sight. Infinite where it falls behind that camera or
-/// beyond its lens.
-double depth_shift_px(const CameraModel& camera, const SE3& T_cur_ref, const Vec3& f_ref, double inv_depth,
-                      double sigma);
-
 /// Depth along f_ref (unit) of the point seen under f_ref and f_cur. False when the rays are parallel.
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth);
 

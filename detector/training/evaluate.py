@@ -46,8 +46,7 @@ class Network:
 
     def _forward(self, blob: np.ndarray) -> np.ndarray:
         self.net.setInput(blob)
-        # Silhouettes, if there are any, have four dimensions.
-        return next(y for y in self.net.forward(self.net.getUnconnectedOutLayersNames()) if y.ndim == 3)[0]
+        return self.net.forward()[0]
 
     def _runs(self, size: int) -> bool:
         try:
@@ -133,9 +132,8 @@ def time_networks(networks: list[Network], rounds: int) -> list[dict]:
     for r in range(rounds + 2):
         for i, n in enumerate(networks):
             n.net.setInput(blobs[i])
-            outputs = n.net.getUnconnectedOutLayersNames()
             wall, cpu = time.perf_counter(), time.thread_time()
-            n.net.forward(outputs)
+            n.net.forward()
             if r >= 2:  # the first two warm up
                 elapsed[i].append((time.perf_counter() - wall) * 1e3)
                 processor[i].append((time.thread_time() - cpu) * 1e3)

@@ -4,27 +4,20 @@ from __future__ import annotations
 
 import argparse
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
-from torch import nn
 
-from model import CbamYolov5, WithSilhouettes, load_coco
+from model import CbamYolov5, load_coco
 from names import CLASSES
 
 
-SIZES = (416, 320)
-
-
-def export_onnx(net: nn.Module, size: int, path: Path) -> None:
-    """`net` must be fused and in evaluation mode. Input 1x3xSIZExSIZE RGB 0..1; output 1xNx(5 + classes), and of a
-    WithSilhouettes silhouette, 1x1xSIZE/4xSIZE/4."""
-    outputs = ["output", "silhouette"] if isinstance(net, WithSilhouettes) else ["output"]
+def export_onnx(net: CbamYolov5, size: int, path: Path) -> None:
+    """`net` must be fused and in evaluation mode. Input 1x3xSIZExSIZE RGB 0..1; output 1xNx(5 + classes)."""
     torch.onnx.export(net, torch.zeros(1, 3, size, size), str(path), opset_version=12, input_names=["images"],
-                      output_names=outputs, do_constant_folding=True)
+                      output_names=["output"], do_constant_folding=True)
     _inline_identities(path)
 
 
@@ -43,7 +36,7 @@ def _inline_identities(path: Path) -> None:
     onnx.save(model, str(path))
 
 
-def write_metadata(path: Path, size: int, silhouettes: bool) -> None:
+def write_metadata(path: Path, size: int) -> None:
     """The TOML file that detector/model_info.h reads."""
     quoted = ", ".join(f'"{c}"' for c in CLASSES)
     path.write_text(f"""# Written by detector/training/export.py beside the model of the same name.
@@ -56,7 +49,7 @@ letterbox = "centre"
 fill = 114
 classes = [{quoted}]
 movable = [{quoted}]
-""" + ('silhouettes = ["person"]\n' if silhouettes else ""))
+""")
 
 
 def reference_picture(size: int) -> np.ndarray:
@@ -67,26 +60,10 @@ def reference_picture(size: int) -> np.ndarray:
 
 
 @torch.no_grad()
-def write_reference(net: nn.Module, size: int, path: Path, every: int = 37) -> None:
-    """What PyTorch says to reference_picture: rows, values a row, stride (int32), then every `every`th row (float32); of a
-    WithSilhouettes then rows, columns, stride and every `every`th value of the silhouettes likewise."""
-    outputs = net(torch.from_numpy(reference_picture(size)))
-    silhouettes = isinstance(net, WithSilhouettes)
-    y = (outputs[0] if silhouettes else outputs)[0].numpy()
-    data = struct.pack("<3i", y.shape[0], y.shape[1], every) + y[::every].astype("<f4").tobytes()
-    if silhouettes:
-        s = outputs[1][0, 0].numpy()
-        data += struct.pack("<3i", s.shape[0], s.shape[1], every) + s.reshape(-1)[::every].astype("<f4").tobytes()
-    path.write_bytes(data)
-
-
-def write_models(net: nn.Module, name: str, sizes: Sequence[int], out: Path) -> None:
-    """ONNX and metadata for each size. `net` must be fused."""
-    for size in sizes:
-        path = out / f"{name}_{size}.onnx"
-        export_onnx(net, size, path)
-        write_metadata(path.with_suffix(".toml"), size, isinstance(net, WithSilhouettes))
-        print(f"{path}: {path.stat().st_size} bytes")
+def write_reference(net: CbamYolov5, size: int, path: Path, every: int = 37) -> None:
+    """What PyTorch says to reference_picture: rows, values a row, stride (int32), then every `every`th row (float32)."""
+    y = net(torch.from_numpy(reference_picture(size)))[0].numpy()
+    path.write_bytes(struct.pack("<3i", y.shape[0], y.shape[1], every) + y[::every].astype("<f4").tobytes())
 
 
 def main() -> None:
@@ -94,7 +71,7 @@ def main() -> None:
     parser.add_argument("--checkpoint", required=True, type=Path, help="checkpoint.pt of train.py; the average is exported")
     parser.add_argument("--out", required=True, type=Path, help="folder for NAME_SIZE.onnx and NAME_SIZE.toml")
     parser.add_argument("--reference", type=Path, help="folder for NAME_SIZE.reference, PyTorch's output for the tests")
-    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--sizes", type=int, nargs="+", default=[416, 320])
     parser.add_argument("--blend", type=float, default=1.0,
                         help="weight of the trained network against the COCO weights it started from (Wortsman et al., "
                         "Robust fine-tuning of zero-shot models, 2022): below 1 keeps more of what COCO taught")
@@ -115,8 +92,11 @@ def main() -> None:
         for size in args.sizes:
             write_reference(net, size, args.reference / f"{name(held)}_{size}.reference")
     net.fuse()
-    write_models(net, name(held), args.sizes, args.out)
-    print(f"after {held['step']} steps")
+    for size in args.sizes:
+        path = args.out / f"{name(held)}_{size}.onnx"
+        export_onnx(net, size, path)
+        write_metadata(path.with_suffix(".toml"), size)
+        print(f"{path}: {path.stat().st_size} bytes, after {held['step']} steps")
 
 
 def name(held: dict) -> str:

@@ -167,37 +167,6 @@ class Heads(nn.Module):
                           for i, y in enumerate(self.raw(maps))], 1)
 
 
-class Silhouette(nn.Module):
-    """Which pixels a person covers, at a quarter of the input's size: what the three heads read, summed up as a pyramid.
-
-    The deep maps know that there is somebody, the shallow one where he ends. Gives logits, batch x 1 x size/4 x size/4.
-    """
-
-    def __init__(self, channels: tuple[int, int, int], width: int = 16):
-        super().__init__()
-        self.fine = nn.Conv2d(channels[0], width, 3, padding=1)
-        self.middle, self.coarse = nn.Conv2d(channels[1], width, 1), nn.Conv2d(channels[2], width, 1)
-        self.mix = nn.Conv2d(width, width, 3, padding=1)
-        self.out = nn.Conv2d(width, 4, 1)
-
-    def forward(self, maps: list[torch.Tensor]) -> torch.Tensor:
-        up = lambda t: nn.functional.interpolate(t, scale_factor=2.0, mode="nearest")  # noqa: E731
-        x = nn.functional.silu(self.fine(maps[0]) + up(self.middle(maps[1]) + up(self.coarse(maps[2]))))
-        return nn.functional.pixel_shuffle(self.out(nn.functional.silu(self.mix(x))), 2)
-
-
-class WithSilhouettes(nn.Module):
-    """A trained detector and a silhouette head on its maps: boxes as before, and probabilities."""
-
-    def __init__(self, net: "CbamYolov5", head: Silhouette):
-        super().__init__()
-        self.net, self.head = net, head
-
-    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        maps = self.net.features(x)
-        return self.net.model[24](maps), self.head(maps).sigmoid()
-
-
 def decode_level(raw: torch.Tensor, level: int) -> torch.Tensor:
     """Raw values of one stride to centre, size (input pixels), objectness and class probabilities."""
     ny, nx = int(raw.shape[2]), int(raw.shape[3])

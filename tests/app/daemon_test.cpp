@@ -294,7 +294,7 @@ TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
   told("small_model = \"" + own + "\"\n",
        ":7: detector.small_model: " + own + ": its input of 416 pixels is not smaller");
   std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
-  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":12: unknown key size");
+  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":11: unknown key size");
 }
 
 TEST(GodwitCheck, SaysOkAndShowsEveryKey) {

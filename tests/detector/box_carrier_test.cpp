@@ -60,51 +60,6 @@ TEST(BoxCarrier, GrowsWithWhatComesNearer) {
   EXPECT_NEAR(carrier.boxes()[0].height(), 210.F, 0.1F);
 }
 
-TEST(BoxCarrier, TheShapeGoesWithItsBoxAndWhatComesInAtTheEdgeIsCovered) {
-  BoxCarrier carrier(640, 480, no_growth());
-  carrier.advance(0, {}, {});
-  Box box{0.F, 100.F, 128.F, 300.F, 0.8F, 0};  // cut off on the left
-  box.shape.row.fill(0x0000ffffU);             // the left half of it
-  carrier.replace(0, {&box, 1});
-  EXPECT_EQ(carrier.boxes()[0].shape, box.shape);
-  carrier.advance(kFrame, grid(box, 128.F, 0.F), {});
-  ASSERT_EQ(carrier.boxes().size(), 1U);
-  EXPECT_NEAR(carrier.boxes()[0].x0, 0.F, 1e-3);
-  EXPECT_NEAR(carrier.boxes()[0].x1, 256.F, 1e-3);
-  // 0 to 128 has come in; of the box itself, now 128 to 256, the left half.
-  EXPECT_EQ(carrier.boxes()[0].shape.row[0], 0x00ffffffU);
-}
-
-TEST(BoxCarrier, AShapeThatLeavesThePictureIsNotSqueezedIntoIt) {
-  BoxCarrier carrier(640, 480, no_growth());
-  carrier.advance(0, {}, {});
-  Box box{64.F, 100.F, 192.F, 300.F, 0.8F, 0};
-  box.shape.row.fill(0x0000ffffU);  // the left half
-  carrier.replace(0, {&box, 1});
-  carrier.advance(kFrame, grid(box, -128.F, 0.F), {});
-  ASSERT_EQ(carrier.boxes().size(), 1U);
-  EXPECT_NEAR(carrier.boxes()[0].x1, 64.F, 1e-3);
-  EXPECT_EQ(carrier.boxes()[0].shape.row[0], 0U) << "that half is out of the picture";
-}
-
-TEST(BoxCarrier, AShapeGrowsIntoItsGaps) {
-  CarrierLimits limits;
-  limits.growth_per_s = 1.F;
-  BoxCarrier carrier(640, 480, limits);
-  carrier.advance(0, {}, {});
-  Box box{200.F, 100.F, 328.F, 300.F, 0.8F, 0};
-  box.shape.row.fill(0xff0000ffU);
-  carrier.replace(0, {&box, 1});
-  carrier.advance(100'000'000, {}, {});  // by a tenth, a twentieth on each side: 6.4 pixels
-  const Box& grown = carrier.boxes()[0];
-  EXPECT_NEAR(grown.x0, 193.6F, 0.1F);
-  // The left part reached to 232 and now to 238.4: 44.8 of 140.8 pixels, 10.2 cells.
-  EXPECT_TRUE(grown.shape.covers(9, 5));
-  EXPECT_FALSE(grown.shape.covers(11, 5));
-  EXPECT_TRUE(grown.shape.covers(0, 5));
-  EXPECT_TRUE(grown.shape.covers(31, 0));
-}
-
 TEST(BoxCarrier, WithoutFeaturesGoesWithTheCamera) {
   BoxCarrier carrier(640, 480, no_growth());
   carrier.advance(0, {}, {});

@@ -57,55 +57,6 @@ TEST(BoxMask, WidensByTheMargin) {
   EXPECT_EQ(image.at(150, 75), 0);
 }
 
-TEST(BoxMask, AShapeIsMaskedAtEveryLevelByItsScale) {
-  BoxMask mask(640, 480, 4, {0.F, 0.F, 0.F});
-  Box box{64.F, 64.F, 320.F, 320.F, 0.9F, 0};  // cells of 8 pixels
-  box.shape.row.fill(0);
-  for (std::size_t y = 8; y < 24; ++y) box.shape.row[y] = 0x800000f0U;  // cells 4 to 7, and the last
-  mask.update({&box, 1}, kMovable);
-  for (int l = 0; l < 4; ++l) {
-    const rt::ImageView& image = mask.view().level[static_cast<std::size_t>(l)];
-    EXPECT_EQ(count(image), (5 * 8 >> l) * (16 * 8 >> l)) << "level " << l;
-    EXPECT_EQ(image.at((64 + 4 * 8) >> l, (64 + 8 * 8) >> l), BoxMask::kDynamic);
-    EXPECT_EQ(image.at(((64 + 4 * 8) >> l) - 1, (64 + 8 * 8) >> l), 0);
-    EXPECT_EQ(image.at((320 >> l) - 1, (64 + 8 * 8) >> l), BoxMask::kDynamic);
-    EXPECT_EQ(image.at(320 >> l, (64 + 8 * 8) >> l), 0);
-    EXPECT_EQ(image.at((64 + 4 * 8) >> l, ((64 + 8 * 8) >> l) - 1), 0);
-    EXPECT_EQ(image.at((64 + 4 * 8) >> l, (64 + 24 * 8) >> l), 0);
-  }
-}
-
-TEST(BoxMask, AShapeIsWidenedByTheMarginOnEverySide) {
-  BoxMask mask(640, 480, 1, {0.05F, 2.F, 1.F});
-  Box box{100.F, 100.F, 260.F, 420.F, 0.9F, 0};  // cells of 5 x 10
-  box.shape.row.fill(0);
-  box.shape.row[16] = 1U << 16;  // 180..185, 260..270
-  mask.update({&box, 1}, kMovable);
-  const rt::ImageView& image = mask.view().level[0];
-  // 5 % of the shorter side, 160, + 2 + 1.
-  EXPECT_EQ(count(image), (5 + 22) * (10 + 22));
-  EXPECT_EQ(image.at(180 - 11, 265), BoxMask::kDynamic);
-  EXPECT_EQ(image.at(185 + 10, 265), BoxMask::kDynamic);
-  EXPECT_EQ(image.at(182, 260 - 11), BoxMask::kDynamic);
-  EXPECT_EQ(image.at(182, 270 + 10), BoxMask::kDynamic);
-}
-
-TEST(BoxMask, AShapeBeyondThePictureIsClipped) {
-  BoxMask mask(64, 48, 3);
-  Box box{-1e9F, -20.F, 1e9F, 500.F, 0.9F, 0};
-  box.shape.row.fill(0xaaaaaaaaU);
-  mask.update({&box, 1}, kMovable);
-  // Its cells are 6e7 pixels wide; the one left of the middle reaches in by its margin, 5 % of 520 + 2 + 1.
-  EXPECT_EQ(count(mask.view().level[0]), 29 * 48);
-  box = {-3e38F, -3e38F, 3e38F, 3e38F, 0.9F, 0};
-  box.shape.row.fill(1);
-  mask.update({&box, 1}, kMovable);
-  box = {-100.F, -100.F, -50.F, -50.F, 0.9F, 0};
-  box.shape.row.fill(1);
-  mask.update({&box, 1}, kMovable);
-  EXPECT_EQ(count(mask.view().level[0]), 0);
-}
-
 TEST(BoxMask, OnlyWhatMayMoveIsMasked) {
   BoxMask mask(64, 64, 1);
   Box box{10.F, 10.F, 20.F, 20.F, 0.9F, 1};

@@ -5,7 +5,6 @@
 #include "detector/box_carrier.h"
 #include "detector/box_mask.h"
 #include "detector/decode.h"
-#include "detector/silhouette.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
@@ -23,9 +22,6 @@ TEST(FramePath, CarriesAndMasksAndDecodesWithoutTheHeap) {
     const float values[] = {at, at, 20.F, 30.F, 0.3F + 0.0001F * static_cast<float>(row), 1.F, 0.F};
     std::copy(std::begin(values), std::end(values), output.begin() + static_cast<std::ptrdiff_t>(row * 7));
   }
-  info.silhouette = {true, false};
-  std::vector<float> map(104 * 104);
-  for (std::size_t i = 0; i < map.size(); ++i) map[i] = i % 7 < 2 ? 0.9F : 0.F;
   const LetterboxFit fit = fit_letterbox(info, 640, 480);
   Decoder decoder(info, {});
   BoxMask mask(640, 480, 5);
@@ -43,7 +39,6 @@ TEST(FramePath, CarriesAndMasksAndDecodesWithoutTheHeap) {
       carrier.advance(frame * 33'000'000LL, features, {});
       if (frame % 10 == 0) {
         decoder.decode(output, fit, &boxes);
-        shape_boxes({map, 104, 104}, info, fit, {}, boxes.view());
         carrier.replace(frame * 33'000'000LL, boxes.view());
       }
       mask.update(carrier.boxes(), info.movable);
@@ -53,7 +48,6 @@ TEST(FramePath, CarriesAndMasksAndDecodesWithoutTheHeap) {
   EXPECT_EQ(after.allocations, before.allocations);
   EXPECT_EQ(after.frees, before.frees);
   EXPECT_GT(boxes.count, 0);
-  EXPECT_FALSE(boxes.box[0].shape.whole());
   EXPECT_FALSE(carrier.boxes().empty());
   EXPECT_GT(mask.covered(), 0.F);
 }

@@ -45,19 +45,6 @@ TEST(ModelInfo, ReadsEveryKey) {
   EXPECT_EQ(info.output_rows(), 3 * (52 * 40 + 26 * 20 + 13 * 10));
 }
 
-TEST(ModelInfo, SilhouettesAreOptional) {
-  const auto without = parse_model_info(kGood, "m.toml");
-  ASSERT_TRUE(without.ok());
-  EXPECT_FALSE(without.value().has_silhouettes());
-  const auto with_one = parse_model_info(kGood + "silhouettes = [\"person\"]\n", "m.toml");
-  ASSERT_TRUE(with_one.ok()) << with_one.error().message;
-  EXPECT_TRUE(with_one.value().has_silhouettes());
-  EXPECT_EQ(with_one.value().silhouette, (std::vector<bool>{true, false, false}));
-  EXPECT_EQ(why(kGood + "silhouettes = [\"dog\"]\n"),
-            "m.toml: silhouettes: must be names out of classes, \"dog\" is none");
-  EXPECT_EQ(why(kGood + "silhouettes = 3\n"), "m.toml: silhouettes: must be a list of 0 to 256 different names");
-}
-
 TEST(ModelInfo, YoloxHasOneRowACell) {
   const auto parsed = parse_model_info(with("\"yolov5\"", "\"yolox\""), "m.toml");
   ASSERT_TRUE(parsed.ok());

@@ -8,7 +8,6 @@
 #include "detector/box_carrier.h"
 #include "detector/box_mask.h"
 #include "detector/decode.h"
-#include "detector/silhouette.h"
 
 using namespace godwit::detector;
 
@@ -37,10 +36,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
                         b.y1 <= static_cast<float>(height) && b.x0 < b.x1 && b.y0 < b.y1;
     if (!inside || !(b.score >= 0.F && b.score <= 1.F) || b.class_id < 0 || b.class_id > 1) std::abort();
   }
-  info.silhouette = {true, false};
-  std::vector<float> map(64, 0.F);
-  std::memcpy(map.data(), data + 3, std::min(size - 3, map.size() * sizeof(float)));
-  shape_boxes({map, 8, 8}, info, fit, {}, boxes.view());
   BoxMask mask(std::min(width, 1280), std::min(height, 1024), 3);
   mask.update(boxes.view(), info.movable);
   BoxCarrier carrier(width, height);
@@ -52,6 +47,5 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   for (const Box& b : carrier.boxes()) {
     if (!(b.x0 >= 0.F && b.y0 >= 0.F && b.x0 < b.x1 && b.y0 < b.y1)) std::abort();
   }
-  mask.update(carrier.boxes(), info.movable);
   return 0;
 }

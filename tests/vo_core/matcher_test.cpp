@@ -127,18 +127,6 @@ TEST(Matcher, ACoarserLevelFindsWhatMotionBlurTookFromTheFineOne) {
   EXPECT_FALSE(match_direct(v.camera, {&v.ref, &f, v.distance(f)}, SE3(), v.cur, f.px, 3, 4).found) << "above the top";
 }
 
-TEST(Matcher, UncertainDepthMattersAcrossTheLineOfSightOnly) {
-  const CameraModel camera = CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {}).value();
-  SE3 aside, ahead;
-  aside.t = Vec3(0.1, 0, 0);
-  ahead.t = Vec3(0, 0, -0.1);
-  const Vec3 axis = Vec3::UnitZ();
-  EXPECT_NEAR(depth_shift_px(camera, aside, axis, 0.5, 0.1), 260 * 0.1 * 0.1, 1e-6);
-  EXPECT_NEAR(depth_shift_px(camera, ahead, axis, 0.5, 0.1), 0.0, 1e-9);
-  // So near that it falls behind the other camera.
-  EXPECT_FALSE(std::isfinite(depth_shift_px(camera, ahead, axis, 0.5, 20.0)));
-}
-
 TEST(Matcher, TriangulationRefusesParallelRays) {
   double depth = 0;
   SE3 T;
