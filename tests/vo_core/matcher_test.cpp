@@ -34,6 +34,25 @@ struct Views {
     f.bearing = camera.unproject(Vec2(x, y));
     return f;
   }
+  /// Features on a grid, with their distance, that `cur` shows at `seen`, at least `border` pixels inside.
+  struct Visible {
+    KeyframeFeature feature;
+    double distance;
+    Vec2 seen;
+  };
+  std::vector<Visible> visible(int spacing, double border) const {
+    std::vector<Visible> out;
+    for (int y = 60; y < 190; y += spacing) {
+      for (int x = 60; x < 260; x += spacing) {
+        const KeyframeFeature f = feature(x, y);
+        const double d = distance(f);
+        Vec2 seen;
+        if (camera.project(T_cur * (f.bearing * d), &seen) && camera.in_image(seen, border))
+          out.push_back({f, d, seen});
+      }
+    }
+    return out;
+  }
   double distance(const KeyframeFeature& f) const {
     return scene.depth(camera, T_ref, f.px.cast<double>()) / f.bearing.z();
   }
@@ -68,21 +87,16 @@ TEST(Matcher, SearchLevelFollowsTheScale) {
 
 TEST(Matcher, DirectMatchFindsThePointAndEpipolarSearchItsDepth) {
   const Views v;
-  int direct = 0, epipolar = 0, tried = 0;
-  for (int y = 60; y < 190; y += 25) {
-    for (int x = 60; x < 260; x += 25) {
-      const KeyframeFeature f = v.feature(x, y);
-      const double d = v.distance(f);
-      Vec2 truth;
-      if (!v.camera.project(v.T_cur * (f.bearing * d), &truth) || !v.camera.in_image(truth, 15)) continue;
-      ++tried;
-      const MatchResult m =
-          match_direct(v.camera, {&v.ref, &f, d}, v.T_cur, v.cur, (truth + Vec2(1.0, -0.8)).cast<float>(), 3);
-      direct += m.found && (m.px.cast<double>() - truth).norm() < 0.25;
-      const EpipolarResult e = match_epipolar(v.camera, {&v.ref, &f, 2.0}, v.T_cur, v.cur, 1.2, 8.0, 3);
-      EXPECT_TRUE(e.visible);
-      if (e.match.found) epipolar += std::abs(e.depth - d) < 0.03 * d;
-    }
+  int direct = 0, epipolar = 0;
+  const auto visible = v.visible(25, 15);
+  const int tried = static_cast<int>(visible.size());
+  for (const auto& [f, d, truth] : visible) {
+    const MatchResult m =
+        match_direct(v.camera, {&v.ref, &f, d}, v.T_cur, v.cur, (truth + Vec2(1.0, -0.8)).cast<float>(), 3);
+    direct += m.found && (m.px.cast<double>() - truth).norm() < 0.25;
+    const EpipolarResult e = match_epipolar(v.camera, {&v.ref, &f, 2.0}, v.T_cur, v.cur, 1.2, 8.0, 3);
+    EXPECT_TRUE(e.visible);
+    if (e.match.found) epipolar += std::abs(e.depth - d) < 0.03 * d;
   }
   ASSERT_GT(tried, 20);
   EXPECT_GE(direct, tried * 8 / 10);
@@ -102,24 +116,19 @@ TEST(Matcher, ACoarserLevelFindsWhatMotionBlurTookFromTheFineOne) {
     }
   }
   v.build_both();
-  int fine = 0, coarse = 0, tried = 0;
-  for (int y = 60; y < 190; y += 13) {
-    for (int x = 60; x < 260; x += 13) {
-      const KeyframeFeature f = v.feature(x, y);
-      const double d = v.distance(f);
-      Vec2 truth;
-      if (!v.camera.project(v.T_cur * (f.bearing * d), &truth) || !v.camera.in_image(truth, 25)) continue;
-      ++tried;
-      const auto near = [&](int coarser) {
-        const MatchResult m = match_direct(v.camera, {&v.ref, &f, d}, v.T_cur, v.cur,
-                                           (truth + Vec2(1.0, -0.8)).cast<float>(), 3, coarser);
-        EXPECT_TRUE(!m.found || m.level == coarser);
-        return m.found && (m.px.cast<double>() - truth).norm() < 1.0;
-      };
-      const bool on_the_fine = near(0);
-      fine += on_the_fine;
-      coarse += on_the_fine || near(1);
-    }
+  int fine = 0, coarse = 0;
+  const auto visible = v.visible(13, 25);
+  const int tried = static_cast<int>(visible.size());
+  for (const auto& one : visible) {
+    const auto near = [&](int coarser) {
+      const MatchResult m = match_direct(v.camera, {&v.ref, &one.feature, one.distance}, v.T_cur, v.cur,
+                                         (one.seen + Vec2(1.0, -0.8)).cast<float>(), 3, coarser);
+      EXPECT_TRUE(!m.found || m.level == coarser);
+      return m.found && (m.px.cast<double>() - one.seen).norm() < 1.0;
+    };
+    const bool on_the_fine = near(0);
+    fine += on_the_fine;
+    coarse += on_the_fine || near(1);
   }
   ASSERT_GT(tried, 60);
   EXPECT_GT(coarse, fine * 5 / 4) << fine << " and " << coarse << " of " << tried;
