@@ -8,9 +8,6 @@
 namespace godwit::app {
 namespace {
 
-/// Frames that the detector may hold: the one it looks at, and the next.
-constexpr int kDetectorSlots = 2;
-
 rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const hal::CameraCalibration& calibration) {
   rt::FramePool::Layout layout;
   layout.width = calibration.width;

@@ -1,9 +1,8 @@
 #include "firmware_app/pipeline/odometry_stage.h"
 
 #include <algorithm>
-#include <array>
-#include <limits>
 
+#include "firmware_app/pipeline/mask_exchange.h"
 #include "vo_core/mapper.h"
 #include "vo_core/pyramid.h"
 #include "vo_core/tracker.h"
@@ -26,16 +25,6 @@ constexpr int kFewestKeyframes = 8;
 /// first four seconds (ATE 0.036 m), 8 to 16 do not (0.004 to 0.005).
 constexpr int kGatedViews = 8;
 
-/// No mask comes later than this.
-constexpr rt::TimeNs kLateMaskNs = rt::kNsPerSecond;
-constexpr rt::TimeNs kNoTime = std::numeric_limits<rt::TimeNs>::min();
-
-/// A keyframe that its own detection has not come for.
-struct WaitingKeyframe {
-  rt::TimeNs t_ns = kNoTime;        ///< capture time; kNoTime: this place is free
-  rt::TimeNs t_known_ns = kNoTime;  ///< of the picture whose detection it was last purged by
-};
-
 class OdometryStage final : public FrameStage {
  public:
   OdometryStage(const vo::CameraModel& camera, const OdometryOptions& options, rt::FramePool* pool, MaskSource* masks,
@@ -48,7 +37,8 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())) {}
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())),
+        exchange_(masks, tracker_.get()) {}
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -60,16 +50,15 @@ class OdometryStage final : public FrameStage {
     input.t_capture_ns = frame.meta.t_capture_ns;
     if (masks_ != nullptr) {
       input.mask = masks_->mask_for(frame.meta, input.grey);
-      purge_movers(frame.meta.t_capture_ns);
+      exchange_.purge_movers(frame.meta.t_capture_ns);
     }
     input.feature_share = feature_share_;
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
-    if (masks_ != nullptr && result.tracked) tell_masks(frame.meta.t_capture_ns, result);
+    if (masks_ != nullptr) exchange_.frame_done(frame.meta.t_capture_ns, result);
     fill(result, record);
-    if (result.is_keyframe) note_keyframe(input.t_capture_ns);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -86,37 +75,6 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
-  void note_keyframe(rt::TimeNs t_capture_ns) {
-    const auto note = [&](rt::TimeNs t) {
-      waiting_[next_waiting_] = {t, kNoTime};
-      next_waiting_ = (next_waiting_ + 1) % waiting_.size();
-    };
-    note(t_capture_ns);
-    const vo::Map& map = tracker_->map();
-    if (map.keyframe_count() != 2) return;
-    // A new map has two at once: the first view is a frame of long ago.
-    for (int k = 0; k < vo::kMaxKeyframes; ++k)
-      if (map.keyframe(k).id == 1) note(map.keyframe(k).t_capture_ns);
-  }
-
-  /// Keyframes of which more is known by now than when they were masked: by detections of earlier pictures, at last by
-  /// their own. One a frame: a bound on its cost.
-  void purge_movers(rt::TimeNs now_ns) {
-    for (WaitingKeyframe& k : waiting_) {
-      if (k.t_ns == kNoTime) continue;
-      if (now_ns - k.t_ns > kLateMaskNs) {
-        k.t_ns = kNoTime;
-        continue;
-      }
-      rt::MaskPyramidView mask;
-      const rt::TimeNs t_detection_ns = masks_->late_mask(k.t_ns, k.t_known_ns, &mask);
-      if (t_detection_ns == k.t_known_ns) continue;
-      if (tracker_->late_mask(k.t_ns, mask)) k.t_known_ns = t_detection_ns;
-      if (k.t_known_ns == k.t_ns) k.t_ns = kNoTime;
-      return;
-    }
-  }
-
   static vo::MapperOptions mapper_options(const OdometryOptions& options, int slots) {
     vo::MapperOptions out;
     // Fewer slots than wanted: fewer keyframes, or in time they would hold every slot.
@@ -135,21 +93,6 @@ class OdometryStage final : public FrameStage {
     out.initializer.readout = options.readout_frames;
     out.shutter.readout_s = options.readout_s;
     return out;
-  }
-
-  void tell_masks(rt::TimeNs t_capture_ns, const vo::FrameResult& result) {
-    TrackedFrame told;
-    told.t_capture_ns = t_capture_ns;
-    told.map_id = result.map_id;
-    told.T_cam_world = result.T_world_cam.inverse();
-    std::size_t n = 0;
-    for (const vo::FrameFeature& f : tracker_->features()) {
-      const vo::MapPoint* const point = f.shaded ? nullptr : tracker_->map().find(f.point);
-      if (point == nullptr || n == seen_points_.size()) continue;
-      seen_points_[n++] = {f.px.x(), f.px.y(), static_cast<float>((told.T_cam_world * point->p_world).norm())};
-    }
-    told.points = std::span(seen_points_).first(n);
-    masks_->frame_tracked(told);
   }
 
   static void fill(const vo::FrameResult& result, FrameRecord* record) {
@@ -187,10 +130,8 @@ class OdometryStage final : public FrameStage {
   std::unique_ptr<vo::Tracker> tracker_;
   std::unique_ptr<vo::Mapper> mapper_;
   // Tracker's own.
+  MaskExchange exchange_;  ///< used only with masks
   double feature_share_ = 1.0;
-  std::array<WaitingKeyframe, 16> waiting_;
-  std::size_t next_waiting_ = 0;
-  std::array<SeenPoint, vo::kMaxFrameFeatures> seen_points_;
 };
 
 }  // namespace

@@ -14,6 +14,8 @@ constexpr int kMapperReader = 1;
 constexpr int kFrameReaders = 2;
 constexpr int kDetectorReader = 2;
 constexpr int kFrameReadersWithDetector = 3;
+/// Frames that the detector may hold: the one it looks at, and two keyframes that wait for it.
+constexpr int kDetectorSlots = 3;
 
 /// Tracker and mapper. Two threads may call it, each its own half, or one thread both.
 class FrameStage {

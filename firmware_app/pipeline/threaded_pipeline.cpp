@@ -280,12 +280,30 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
   const bool failed = detector_stuck_ || masks_state_ == MasksState::kFailing;
   if (failed != detector_failed_ && options_.tap != nullptr) options_.tap->detector_failed(failed);
   detector_failed_ = failed;
-  const auto order = scheduler_.order(record.t_done_ns, record.is_keyframe);
-  if (order && jobs_.try_push({handle, order->deadline_ns, order->input_px, record.is_keyframe})) {
-    detector_wake_.post();
-  } else {
-    tracker_return->give_back(handle.slot);
+  order_detection(handle, record, tracker_return);
+}
+
+void ThreadedPipeline::order_detection(const rt::FrameHandle& handle, const FrameRecord& record,
+                                       rt::FrameReturn* tracker_return) {
+  const auto forget_oldest = [&] {
+    tracker_return->give_back(waiting_.front()->frame.slot);
+    waiting_.drop_front();
+  };
+  const rt::TimeNs too_old_ns = record.t_done_ns - options_.scheduler.mask_age_ns;
+  while (waiting_.front() != nullptr && waiting_.front()->since_ns < too_old_ns) forget_oldest();
+  if (record.is_keyframe && !waiting_.try_push({handle, record.t_done_ns})) {
+    forget_oldest();
+    waiting_.try_push({handle, record.t_done_ns});
   }
+  const WaitingKeyframe* const keyframe = waiting_.front();
+  const rt::FrameHandle& chosen = keyframe != nullptr ? keyframe->frame : handle;
+  const auto order = scheduler_.order(record.t_done_ns, keyframe != nullptr);
+  const bool ordered = order && jobs_.try_push({chosen, order->deadline_ns, order->input_px, keyframe != nullptr});
+  // The detector gives back what it gets; a keyframe's slot is kept while it waits.
+  if (!record.is_keyframe && (!ordered || keyframe != nullptr)) tracker_return->give_back(handle.slot);
+  if (!ordered) return;
+  if (keyframe != nullptr) waiting_.drop_front();
+  detector_wake_.post();
 }
 
 void ThreadedPipeline::note_detection(const DetectionEnd& detection) {

@@ -54,6 +54,12 @@ class FakeCamera final : public hal::Camera {
   rt::TimeNs start_ns_ = 0;
 };
 
+bool intact(const rt::FramePool& pool, const rt::FrameHandle& frame) {
+  const rt::ImageView grey = pool.grey(frame.slot);
+  const auto expected = static_cast<std::uint8_t>(frame.meta.sequence);
+  return grey.at(0, 0) == expected && grey.at(kWidth - 1, kHeight - 1) == expected;
+}
+
 /// Every second frame goes to the mapper, which keeps the last few, as keyframes are kept.
 class FakeStage final : public FrameStage {
  public:
@@ -65,13 +71,15 @@ class FakeStage final : public FrameStage {
   std::uint64_t wrong_kept = 0;     ///< mapper's own
   std::uint64_t mapped = 0;         ///< mapper's own
   std::vector<const char*> states;  ///< one a frame, then the last again; empty: always tracking
+  std::set<std::uint32_t> keyframes;
+  std::atomic<std::uint32_t> seen{0};  ///< number of the newest frame
   std::uint64_t samples = 0, samples_late = 0, samples_wrong = 0;
   rt::TimeNs t_sample_ns = 0, t_frame_ns = 0;
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     if (!rt::in_rt_scope()) ++track_calls_outside_scope;
     if (track_ns > 0) rt::sleep_until_ns(rt::monotonic_now_ns() + track_ns);
-    if (!intact(frame)) ++wrong_pixels;
+    if (!intact(*pool_, frame)) ++wrong_pixels;
     t_frame_ns = frame.meta.t_capture_ns;
     record->state = "TRACKING";
     if (!states.empty()) {
@@ -79,6 +87,8 @@ class FakeStage final : public FrameStage {
       record->why = {"features", static_cast<std::int32_t>(frame.meta.sequence), 30};
     }
     record->tracked = record->has_pose = true;
+    seen.store(frame.meta.sequence);
+    record->is_keyframe = keyframes.count(frame.meta.sequence) != 0;
     const bool sent = frame.meta.sequence % 2 == 0 && to_mapper_.try_push(frame);
     tracker_return_.give_back(frame.slot, sent ? 1 : 2);
   }
@@ -94,7 +104,7 @@ class FakeStage final : public FrameStage {
     if (!to_mapper_.try_pop(&frame)) return false;
     kept_.push_back(frame);
     if (kept_.size() > 3) {
-      if (!intact(kept_.front())) ++wrong_kept;
+      if (!intact(*pool_, kept_.front())) ++wrong_kept;
       mapper_return_.give_back(kept_.front().slot);
       kept_.erase(kept_.begin());
     }
@@ -103,12 +113,6 @@ class FakeStage final : public FrameStage {
   }
 
  private:
-  bool intact(const rt::FrameHandle& frame) const {
-    const rt::ImageView grey = pool_->grey(frame.slot);
-    const auto expected = static_cast<std::uint8_t>(frame.meta.sequence);
-    return grey.at(0, 0) == expected && grey.at(kWidth - 1, kHeight - 1) == expected;
-  }
-
   rt::FramePool* pool_;
   rt::FrameReturn tracker_return_, mapper_return_;
   rt::SpscRing<rt::FrameHandle, 8> to_mapper_;
@@ -143,6 +147,25 @@ class FakeImu final : public hal::Imu {
   rt::TimeNs start_ns_ = 0;
 };
 
+/// Its first detection takes until the stage has seen a certain frame.
+class HeldDetector final : public DetectorStage {
+ public:
+  explicit HeldDetector(const rt::FramePool* pool) : pool_(pool) {}
+  std::uint32_t until = 0;
+  const std::atomic<std::uint32_t>* seen = nullptr;
+  std::vector<DetectorJob> jobs;
+  std::uint64_t wrong_pixels = 0;
+  bool detect(const DetectorJob& job) override {
+    while (jobs.empty() && seen->load() < until) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    if (!intact(*pool_, job.frame)) ++wrong_pixels;
+    jobs.push_back(job);
+    return true;
+  }
+
+ private:
+  const rt::FramePool* pool_;
+};
+
 class Collect final : public FrameSink {
  public:
   std::vector<FrameRecord> records;
@@ -159,17 +182,18 @@ class Collect final : public FrameSink {
   void event(const rt::LogEntry& entry) override { events.push_back(entry); }
 };
 
-std::unique_ptr<rt::FramePool> make_pool(int slots) {
+std::unique_ptr<rt::FramePool> make_pool(int slots, int readers) {
   rt::FramePool::Layout layout;
   layout.width = kWidth;
   layout.height = kHeight;
   layout.slots = slots;
-  layout.readers = kFrameReaders;
+  layout.readers = readers;
   return std::move(rt::FramePool::create(layout)).value();
 }
 
 struct TestRun {
-  explicit TestRun(std::uint32_t frames, int slots = 12) : camera(frames), pool(make_pool(slots)), stage(pool.get()) {}
+  explicit TestRun(std::uint32_t frames, int slots = 12, int readers = kFrameReaders)
+      : camera(frames), pool(make_pool(slots, readers)), stage(pool.get()) {}
   FakeCamera camera;
   std::unique_ptr<rt::FramePool> pool;
   FakeStage stage;
@@ -401,6 +425,47 @@ TEST(Pipeline, ExhaustedSlotsDropTheNewestFrameAndCountIt) {
   EXPECT_EQ(counters.value().dropped_slots, run.pool->exhausted());
   EXPECT_EQ(run.stage.wrong_pixels, 0u);
   EXPECT_EQ(run.stage.wrong_kept, 0u);
+}
+
+/// While the first detection is under way, frames 10 to 25 become keyframes; it ends with frame 30 at the earliest.
+/// More keyframes than slots: one that is not given back would be missed.
+struct DetectedRun : TestRun {
+  DetectedRun() : TestRun(400, 12, kFrameReadersWithDetector), detector(pool.get()) {
+    stage.track_ns = rt::kNsPerMs;
+    for (std::uint32_t i = 10; i <= 25; ++i) stage.keyframes.insert(i);
+    detector.seen = &stage.seen;
+    detector.until = 30;
+    options.detector = &detector;
+    options.scheduler.frame_ns = rt::kNsPerMs;
+    options.scheduler.mask_age_ns = 1000 * rt::kNsPerSecond;
+  }
+  HeldDetector detector;
+};
+
+TEST(Pipeline, KeyframesThatCameDuringADetectionGetTheNext) {
+  DetectedRun run;
+  ASSERT_TRUE(run.go().ok());
+  const std::vector<DetectorJob>& jobs = run.detector.jobs;
+  ASSERT_GT(jobs.size(), 3u);
+  for (std::uint32_t i = 1; i <= 2; ++i) {
+    EXPECT_TRUE(jobs[i].is_keyframe);
+    EXPECT_EQ(jobs[i].frame.meta.sequence, 23u + i) << "the newest two, in order";
+  }
+  EXPECT_FALSE(jobs[3].is_keyframe);
+  EXPECT_GE(jobs[3].frame.meta.sequence, 30u) << "and then the newest picture again";
+  EXPECT_EQ(run.detector.wrong_pixels, 0u) << "their slots are kept for them";
+  EXPECT_EQ(run.pool->exhausted(), 0u) << "those of the others are given back";
+}
+
+TEST(Pipeline, AKeyframeThatHasWaitedLongerThanAMaskMayBeOldMakesWay) {
+  DetectedRun run;
+  run.options.scheduler.mask_age_ns = 1;
+  ASSERT_TRUE(run.go().ok());
+  const std::vector<DetectorJob>& jobs = run.detector.jobs;
+  ASSERT_GT(jobs.size(), 1u);
+  EXPECT_FALSE(jobs[1].is_keyframe);
+  EXPECT_GE(jobs[1].frame.meta.sequence, 30u);
+  EXPECT_EQ(run.pool->exhausted(), 0u);
 }
 
 }  // namespace
