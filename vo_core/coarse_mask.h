@@ -10,6 +10,18 @@
 
 namespace godwit::vo {
 
+/// Masked share of the picture above which it counts as crowded: features are scarce then, and tracker and mapper are
+/// content with less where it agrees.
+constexpr double kCrowdedShare = 0.3;
+
+/// Share of the pixels that are not 0; 0 of no picture.
+inline double masked_share(const rt::ImageView& mask) {
+  int n = 0;
+  for (int y = 0; y < mask.height; ++y)
+    for (int x = 0; x < mask.width; ++x) n += mask.row(y)[x] != 0;
+  return mask.width * mask.height > 0 ? static_cast<double>(n) / (mask.width * mask.height) : 0.0;
+}
+
 /// Cells of 8 x 8 pixels of level 0: level 3 of a mask pyramid. No columns: nothing is masked.
 struct CoarseMask {
   static constexpr int kLevel = 3;
@@ -51,11 +63,7 @@ struct CoarseMask {
   void clear() { columns = rows = 0; }
   bool empty() const { return columns == 0; }
   /// Share of the picture that is masked, 0 to 1.
-  double covered() const {
-    int n = 0;
-    for (int i = 0; i < columns * rows; ++i) n += cell[static_cast<std::size_t>(i)] != 0;
-    return empty() ? 0.0 : static_cast<double>(n) / (columns * rows);
-  }
+  double covered() const { return masked_share({cell.data(), columns, rows, columns}); }
   /// Share of the picture that is masked here and free in `later`, the mask of another frame of the same size.
   double uncovered(const rt::MaskPyramidView& later) const {
     if (empty() || later.levels <= kLevel) return 0.0;
@@ -77,12 +85,7 @@ struct CoarseMask {
 
 /// Share of a picture that is masked, 0 to 1: what CoarseMask::covered() tells of it.
 inline double covered_share(const rt::MaskPyramidView& mask) {
-  if (mask.levels <= CoarseMask::kLevel) return 0.0;
-  const rt::ImageView& level = mask.level[CoarseMask::kLevel];
-  int n = 0;
-  for (int y = 0; y < level.height; ++y)
-    for (int x = 0; x < level.width; ++x) n += level.row(y)[x] != 0;
-  return level.width * level.height > 0 ? static_cast<double>(n) / (level.width * level.height) : 0.0;
+  return mask.levels > CoarseMask::kLevel ? masked_share(mask.level[CoarseMask::kLevel]) : 0.0;
 }
 
 }  // namespace godwit::vo

@@ -17,6 +17,11 @@ using Mat26 = Eigen::Matrix<double, 2, 6>;
 using Vec2f = Eigen::Vector2f;
 using Vec3f = Eigen::Vector3f;
 
+/// Angle between two vectors of any length [rad], 0 to pi; exact for small ones too.
+inline double angle_between(const Vec3& a, const Vec3& b) {
+  return std::atan2(a.cross(b).norm(), a.dot(b));
+}
+
 inline Mat3 skew(const Vec3& v) {
   Mat3 m;
   m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;

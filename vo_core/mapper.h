@@ -9,6 +9,7 @@
 #include "hal/rt/time.h"
 #include "vo_core/bundle_adjuster.h"
 #include "vo_core/camera_model.h"
+#include "vo_core/coarse_mask.h"
 #include "vo_core/depth_filter.h"
 #include "vo_core/feature_detector.h"
 #include "vo_core/map_channel.h"
@@ -23,7 +24,7 @@ struct MapperOptions {
   double converged_sigma = 0.04;    ///< sigma of depth over depth below which a seed becomes a point
   double starving_sigma = 0.15;     ///< the same when the tracker sees next to no points
   int starving_features = 120;      ///< tracked features below which the limit begins to rise
-  double crowded = 0.3;             ///< share of the picture under the mask above which it is hunger too
+  double crowded = kCrowdedShare;   ///< share of the picture under the mask above which it is hunger too
   double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
   double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
   int agreeing_matches = 4;         ///< hungry in a crowd: so many matches that agree on the depth are enough

@@ -9,6 +9,7 @@
 #include "hal/rt/image.h"
 #include "hal/rt/time.h"
 #include "vo_core/camera_model.h"
+#include "vo_core/coarse_mask.h"
 #include "vo_core/health.h"
 #include "vo_core/initializer.h"
 #include "vo_core/keyframe_selector.h"
@@ -95,7 +96,7 @@ struct TrackerOptions {
   /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
   /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
   /// from, and to map with, for a while.
-  double crowded = 0.3;
+  double crowded = kCrowdedShare;
   Gate few_but_sure{18, 0.8, 0.5, 1.2};
   int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
   int weak_beside = 12;  ///< of the measurements outside the mask

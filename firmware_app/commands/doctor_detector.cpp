@@ -59,9 +59,8 @@ std::optional<rt::TimeNs> examine(const std::string& file, const detector::Detec
 }  // namespace
 
 std::string pace_advice(rt::TimeNs large_ns, rt::TimeNs small_ns, const SchedulerOptions& s) {
-  // As the scheduler reckons: a pause of a fifth, and a mask is oldest a period and a detection after its picture.
-  const auto period = [&](rt::TimeNs took) { return std::max(s.period_frames * s.frame_ns, took * 5 / 4); };
-  const auto oldest = [&](rt::TimeNs took) { return period(took) + took; };
+  const auto period = [&](rt::TimeNs took) { return detection_period_ns(s.period_frames * s.frame_ns, took); };
+  const auto oldest = [&](rt::TimeNs took) { return oldest_mask_ns(period(took), took); };
   const std::string mend = "; a machine with CUDA (detector.backend), or a smaller network, does better";
   if (oldest(small_ns) > s.mask_age_ns) {
     return fmt::format("too slow: masks grow {:.0f} ms old, more than {:.0f}; movers that are quick are missed",

@@ -58,10 +58,12 @@ void BoxMotion::shrink(const rt::ImageView& grey) {
 bool BoxMotion::follow(const detector::Box& box, float* dx, float* dy) const {
   // The middle part: the edges of a box show what lies behind.
   const float inset_x = 0.15F * box.width(), inset_y = 0.1F * box.height();
-  const int x0 = std::max(0, static_cast<int>((box.x0 + inset_x) / kShrink));
-  const int y0 = std::max(0, static_cast<int>((box.y0 + inset_y) / kShrink));
-  const int x1 = std::min(width_, static_cast<int>((box.x1 - inset_x) / kShrink));
-  const int y1 = std::min(height_, static_cast<int>((box.y1 - inset_y) / kShrink));
+  // Clipped while it is still floating: a box may be anywhere.
+  const auto within = [](float px, int size) {
+    return static_cast<int>(std::clamp(px / kShrink, 0.F, static_cast<float>(size)));
+  };
+  const int x0 = within(box.x0 + inset_x, width_), x1 = within(box.x1 - inset_x, width_);
+  const int y0 = within(box.y0 + inset_y, height_), y1 = within(box.y1 - inset_y, height_);
   if (x1 - x0 < kLeastSide || y1 - y0 < kLeastSide) return false;
   int thin = 1;
   while ((x1 - x0) * ((y1 - y0 + thin - 1) / thin) > kMaxPixels) ++thin;

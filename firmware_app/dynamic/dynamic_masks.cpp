@@ -96,6 +96,7 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
     parked_.take_detection(newest_.t_capture_ns, newest_.boxes.view());
     if (carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
       have_mask_ = true;
+      t_held_ns_ = newest_.t_capture_ns;
       t_taken_ns_ = frame.t_capture_ns;
     }
   }
@@ -119,11 +120,11 @@ std::span<const detector::Box> DynamicMasks::moving(std::span<const detector::Bo
 rt::TimeNs DynamicMasks::late_mask(rt::TimeNs t_capture_ns, rt::TimeNs known_ns, rt::MaskPyramidView* mask) {
   // From the frame with which the detection came in on, masks were made with it.
   std::span<const detector::Box> boxes;
-  if (newest_.t_capture_ns <= known_ns || t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes))
+  if (!have_mask_ || t_held_ns_ <= known_ns || t_capture_ns >= t_taken_ns_ || !carrier_.boxes_at(t_capture_ns, &boxes))
     return known_ns;
   late_mask_.update(moving(boxes), movable_);
   *mask = late_mask_.view();
-  return newest_.t_capture_ns;
+  return t_held_ns_;
 }
 
 }  // namespace godwit::app

@@ -78,7 +78,8 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   std::vector<bool> movable_;
   rt::TimeNs t_first_ns_ = 0;
   bool have_mask_ = false;
-  rt::TimeNs t_taken_ns_ = 0;  ///< capture time of the frame with which the newest detection came in
+  rt::TimeNs t_held_ns_ = 0;   ///< capture time of the newest picture whose detection is carried on
+  rt::TimeNs t_taken_ns_ = 0;  ///< the same of the frame with which that detection came in
 };
 
 }  // namespace godwit::app

@@ -1,7 +1,6 @@
 #include "firmware_app/dynamic/parked_boxes.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 namespace godwit::app {
@@ -13,10 +12,6 @@ float overlap(const A& a, const B& b) {
   const float w = std::min(a.x1, b.x1) - std::max(a.x0, b.x0), h = std::min(a.y1, b.y1) - std::max(a.y0, b.y0);
   if (w <= 0.F || h <= 0.F) return 0.F;
   return w * h / ((a.x1 - a.x0) * (a.y1 - a.y0) + (b.x1 - b.x0) * (b.y1 - b.y0) - w * h);
-}
-
-double angle(const vo::Vec3& a, const vo::Vec3& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
 }
 
 }  // namespace
@@ -172,8 +167,8 @@ Sighting ParkedBoxes::sighting(const Frame& frame, const detector::Box& box) con
   out.t_ns = frame.t_ns;
   out.T_cam_world = frame.T_cam_world;
   out.bearing = camera_.unproject({x, y});
-  out.width_rad = angle(camera_.unproject({x0, y}), camera_.unproject({x1, y}));
-  out.height_rad = angle(camera_.unproject({x, y0}), camera_.unproject({x, y1}));
+  out.width_rad = vo::angle_between(camera_.unproject({x0, y}), camera_.unproject({x1, y}));
+  out.height_rad = vo::angle_between(camera_.unproject({x, y0}), camera_.unproject({x, y1}));
   return out;
 }
 

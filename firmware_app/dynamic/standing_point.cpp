@@ -20,10 +20,6 @@ Eigen::Matrix<double, 3, 2> across(const Vec3& b) {
   return out;
 }
 
-double angle(const Vec3& a, const Vec3& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
-
 double swelling(std::span<const Sighting> sightings, const StandingPoint& point) {
   const std::size_t third = sightings.size() / 3;
   double wide = 0.0, high = 0.0;
@@ -41,7 +37,7 @@ double swelling(std::span<const Sighting> sightings, const StandingPoint& point)
 }  // namespace
 
 double StandingPoint::off(const Sighting& s) const {
-  return angle(seen_from(s.T_cam_world), s.bearing);
+  return vo::angle_between(seen_from(s.T_cam_world), s.bearing);
 }
 
 double baseline_across(std::span<const Sighting> sightings) {

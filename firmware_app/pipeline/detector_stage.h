@@ -9,8 +9,7 @@ namespace godwit::app {
 /// One picture to be looked at. The slot is held for the detector until detect() returns.
 struct DetectorJob {
   rt::FrameHandle frame;
-  rt::TimeNs deadline_ns = 0;  ///< CLOCK_MONOTONIC; a mask that comes later is of little use
-  int input_px = 0;            ///< size of the network's input
+  int input_px = 0;  ///< size of the network's input
   bool is_keyframe = false;
 };
 

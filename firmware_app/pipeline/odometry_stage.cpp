@@ -37,7 +37,7 @@ class OdometryStage final : public FrameStage {
         mapper_return_(pool->reader(kMapperReader)),
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
-        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, pool->slots()), channel_.get())),
+        mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, keyframe_slots(*pool)), channel_.get())),
         exchange_(masks, tracker_.get()) {}
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
@@ -75,10 +75,15 @@ class OdometryStage final : public FrameStage {
   }
 
  private:
-  static vo::MapperOptions mapper_options(const OdometryOptions& options, int slots) {
+  static int keyframe_slots(const rt::FramePool& pool) {
+    const bool with_detector = pool.layout().readers == kFrameReadersWithDetector;
+    return pool.slots() - kSlotsBesideKeyframes - (with_detector ? kDetectorSlots : 0);
+  }
+
+  static vo::MapperOptions mapper_options(const OdometryOptions& options, int keyframe_slots) {
     vo::MapperOptions out;
     // Fewer slots than wanted: fewer keyframes, or in time they would hold every slot.
-    out.max_keyframes = std::min(out.max_keyframes, slots - kSlotsBesideKeyframes);
+    out.max_keyframes = std::min(out.max_keyframes, keyframe_slots);
     out.shutter.readout_s = options.readout_s;
     return out;
   }

@@ -60,8 +60,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
       if (options.detector != nullptr) {
         // By count, not by time: two runs must be equal.
         if (++since_detection >= options.scheduler.period_frames || record.is_keyframe) {
-          options.detector->detect({handle, handle.meta.t_capture_ns + options.scheduler.mask_age_ns,
-                                    options.scheduler.input_px, record.is_keyframe});
+          options.detector->detect({handle, options.scheduler.input_px, record.is_keyframe});
           since_detection = 0;
         }
         pool->reader(kDetectorReader).give_back(handle.slot);

@@ -286,19 +286,19 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
 void ThreadedPipeline::order_detection(const rt::FrameHandle& handle, const FrameRecord& record,
                                        rt::FrameReturn* tracker_return) {
   const auto forget_oldest = [&] {
-    tracker_return->give_back(waiting_.front()->frame.slot);
+    tracker_return->give_back(waiting_.front()->slot);
     waiting_.drop_front();
   };
-  const rt::TimeNs too_old_ns = record.t_done_ns - options_.scheduler.mask_age_ns;
-  while (waiting_.front() != nullptr && waiting_.front()->since_ns < too_old_ns) forget_oldest();
-  if (record.is_keyframe && !waiting_.try_push({handle, record.t_done_ns})) {
-    forget_oldest();
-    waiting_.try_push({handle, record.t_done_ns});
+  const auto age = [&](const rt::FrameHandle& frame) { return handle.meta.t_capture_ns - frame.meta.t_capture_ns; };
+  while (waiting_.front() != nullptr && scheduler_.too_old_to_detect(age(*waiting_.front()))) forget_oldest();
+  if (record.is_keyframe) {
+    if (waiting_.size() == waiting_.capacity()) forget_oldest();
+    waiting_.try_push(handle);
   }
-  const WaitingKeyframe* const keyframe = waiting_.front();
-  const rt::FrameHandle& chosen = keyframe != nullptr ? keyframe->frame : handle;
+  const rt::FrameHandle* const keyframe = waiting_.front();
   const auto order = scheduler_.order(record.t_done_ns, keyframe != nullptr);
-  const bool ordered = order && jobs_.try_push({chosen, order->deadline_ns, order->input_px, keyframe != nullptr});
+  const bool ordered =
+      order && jobs_.try_push({keyframe != nullptr ? *keyframe : handle, order->input_px, keyframe != nullptr});
   // The detector gives back what it gets; a keyframe's slot is kept while it waits.
   if (!record.is_keyframe && (!ordered || keyframe != nullptr)) tracker_return->give_back(handle.slot);
   if (!ordered) return;

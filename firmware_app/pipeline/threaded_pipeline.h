@@ -51,12 +51,6 @@ class ThreadedPipeline {
     bool failed = false;
   };
 
-  /// A keyframe that waits for the detector.
-  struct WaitingKeyframe {
-    rt::FrameHandle frame;
-    rt::TimeNs since_ns = 0;
-  };
-
   /// What the log has been told of the detector's answers.
   enum class MasksState { kNone, kComing, kFailing };
 
@@ -139,9 +133,9 @@ class ThreadedPipeline {
   bool detector_stuck_ = false;
   bool detector_failed_ = false;  ///< as told: stuck, or without masks
   MasksState masks_state_ = MasksState::kNone;
-  /// Keyframes whose detection could not be ordered at once, oldest first, each with its slot; it makes way when there
-  /// are more, or when its mask would be older than a mask should be. A slow detector sees two come while it works.
-  rt::SpscRing<WaitingKeyframe, kDetectorSlots - 1> waiting_;
+  /// Keyframes that wait for the detector, oldest first, each with its slot. One makes way when there are more, or when
+  /// its mask would come too late. Only this thread uses it.
+  rt::SpscRing<rt::FrameHandle, kDetectorSlots - 1> waiting_;
   std::optional<rt::TimeNs> t_imu_ns_;  ///< of the newest sample, or when it was first looked for
   rt::TimeNs t_imu_lost_ns_ = 0;        ///< the same when it was called silent
   bool imu_silent_ = false;

@@ -121,9 +121,8 @@ rt::TimeNs Scheduler::period_for(int input_px) const {
   const double limit = static_cast<double>(options_.tracker_p95_ns);
   const double above_calm = (static_cast<double>(p95_ns_) / limit - kCalmShare) / (1 - kCalmShare);
   frames *= 1 + std::clamp(above_calm, 0.0, 1.0);
-  // A slow detector gets a fifth of its time as a pause, so that the mapper comes to its turn.
-  const auto own = static_cast<rt::TimeNs>(1.25 * static_cast<double>(expected_ns(input_px)));
-  return std::max(static_cast<rt::TimeNs>(frames * static_cast<double>(options_.frame_ns)), own);
+  return detection_period_ns(static_cast<rt::TimeNs>(frames * static_cast<double>(options_.frame_ns)),
+                             expected_ns(input_px));
 }
 
 SchedulePlan Scheduler::plan() const {
@@ -136,32 +135,32 @@ SchedulePlan Scheduler::plan() const {
   return out;
 }
 
-std::optional<DetectorOrder> Scheduler::order(rt::TimeNs now_ns, bool is_keyframe) {
+std::optional<DetectorOrder> Scheduler::order(rt::TimeNs now_ns, bool keyframe) {
   const SchedulePlan p = plan();
   if (!p.detector_on || ordered_) return std::nullopt;
   // A frame that comes a little early must not cost a whole one.
   const rt::TimeNs early = options_.frame_ns / 4;
-  const bool due = t_ordered_ns_ < 0 || now_ns - t_ordered_ns_ >= p.period_ns - early || is_keyframe;
-  if (!due) return std::nullopt;
+  const rt::TimeNs wanted = keyframe ? detection_period_ns(0, expected_ns(p.input_px)) : p.period_ns;
+  if (t_ordered_ns_ >= 0 && now_ns - t_ordered_ns_ < wanted - early) return std::nullopt;
   ordered_ = true;
   t_ordered_ns_ = now_ns;
   ordered_px_ = p.input_px;
-  deadline_ns_ = now_ns + options_.mask_age_ns;
-  return DetectorOrder{deadline_ns_, ordered_px_};
+  return DetectorOrder{ordered_px_};
 }
 
 void Scheduler::detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed) {
   if (!ordered_) return;
+  const bool accident = stuck_;
   ordered_ = false;
   stuck_ = false;
   ++counters_.detections;
   if (failed) ++counters_.detections_failed;
-  if (now_ns > deadline_ns_) ++counters_.detections_late;
+  if (now_ns - t_ordered_ns_ > options_.mask_age_ns) ++counters_.detections_late;
   const double took = static_cast<double>(now_ns - t_ordered_ns_) / (static_cast<double>(ordered_px_) * ordered_px_);
-  cost_per_px2_ = cost_per_px2_ > 0 ? 0.8 * cost_per_px2_ + 0.2 * took : took;
+  // One that hung says nothing of what the next will cost.
+  if (!accident) cost_per_px2_ = cost_per_px2_ > 0 ? 0.8 * cost_per_px2_ + 0.2 * took : took;
   if (!failed) t_mask_ns_ = std::max(t_mask_ns_, t_capture_ns);
-  // A mask is oldest just before the next one comes: a period and a detection after its picture.
-  const rt::TimeNs oldest = period_for(options_.input_px) + expected_ns(options_.input_px);
+  const rt::TimeNs oldest = oldest_mask_ns(period_for(options_.input_px), expected_ns(options_.input_px));
   const double slack = large_ ? 1.0 : 0.8;  // back to the large input only with room to spare
   large_ = static_cast<double>(oldest) <= slack * static_cast<double>(options_.mask_age_ns);
 }

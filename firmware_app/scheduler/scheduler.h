@@ -1,6 +1,7 @@
 // Who gets the processor: tracking first, the detector from what is left. Pure logic; time comes as an argument.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -66,7 +67,6 @@ struct SchedulePlan {
 
 /// One detection to do.
 struct DetectorOrder {
-  rt::TimeNs deadline_ns = 0;  ///< later its mask is of little use
   int input_px = 0;
 };
 
@@ -79,9 +79,19 @@ struct SchedulerCounters {
   std::array<rt::TimeNs, kRungs> time_on_rung_ns{};
   std::uint64_t detections = 0;         ///< orders that came back
   std::uint64_t detections_failed = 0;  ///< of these: without a mask
-  std::uint64_t detections_late = 0;    ///< of these: after their deadline
+  std::uint64_t detections_late = 0;    ///< of these: longer after their order than a mask should be old
   std::uint64_t detector_stuck = 0;     ///< times it was given up on
 };
+
+/// Time between two detections that take took_ns each, at least shortest_ns: a slow detector gets a fifth of its time
+/// as a pause, so that the mapper comes to its turn.
+constexpr rt::TimeNs detection_period_ns(rt::TimeNs shortest_ns, rt::TimeNs took_ns) {
+  return std::max(shortest_ns, took_ns / 4 * 5);
+}
+/// Age of such a detector's mask at its oldest: a period and a detection after its picture, just before the next comes.
+constexpr rt::TimeNs oldest_mask_ns(rt::TimeNs period_ns, rt::TimeNs took_ns) {
+  return period_ns + took_ns;
+}
 
 /// Steers by what it is told. One thread; no allocation, bounded.
 class Scheduler {
@@ -96,9 +106,13 @@ class Scheduler {
   /// How the machine is, whenever it was looked at. temperature_c: hottest, not-a-number where unknown.
   void machine(double temperature_c, bool throttled);
 
-  /// Shall this frame go to the detector? Keyframes always do when it is free and on. An order given counts as under
-  /// way until detection_done().
-  std::optional<DetectorOrder> order(rt::TimeNs now_ns, bool is_keyframe);
+  /// Shall a picture go to the detector now? keyframe: one waits; the period is not waited for then, only the
+  /// detector's pause. An order given counts as under way until detection_done().
+  std::optional<DetectorOrder> order(rt::TimeNs now_ns, bool keyframe);
+  /// A detection ordered now of a picture of this age would end with a mask older than a mask should be.
+  bool too_old_to_detect(rt::TimeNs age_ns) const {
+    return age_ns + expected_ns(plan().input_px) > options_.mask_age_ns;
+  }
   /// The detection under way has ended; its mask is of the frame captured at t_capture_ns. failed: there is no mask.
   void detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed);
 
@@ -146,7 +160,6 @@ class Scheduler {
   bool ordered_ = false, stuck_ = false;
   rt::TimeNs t_ordered_ns_ = -1;
   int ordered_px_ = 0;
-  rt::TimeNs deadline_ns_ = 0;
   rt::TimeNs t_mask_ns_ = -1;
   double cost_per_px2_ = 0;  ///< smoothed time of a detection over the square of its input [ns]
   bool large_ = true;        ///< the input that fits the mask's age at present

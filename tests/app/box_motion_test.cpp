@@ -50,6 +50,15 @@ TEST(BoxMotion, FollowsWhatIsInsideToAPixelOrTwo) {
   }
 }
 
+TEST(BoxMotion, ABoxFarOutsideThePictureIsNotFollowed) {
+  BoxMotion motion(kWidth, kHeight);
+  const auto before = picture(100, 60), now = picture(109, 57);
+  const std::vector<detector::Box> boxes = {{-3e38F, -3e38F, -2e38F, -2e38F, 0.9F, 0},
+                                            {2e38F, 2e38F, 3e38F, 3e38F, 0.9F, 0}};
+  motion.next(view(before), boxes);
+  EXPECT_TRUE(motion.next(view(now), boxes).empty());
+}
+
 TEST(BoxMotion, WhereNothingCanBeSeenToMoveNothingMoves) {
   BoxMotion motion(kWidth, kHeight);
   const std::vector<std::uint8_t> grey(static_cast<std::size_t>(kWidth * kHeight), 90);

@@ -2,6 +2,7 @@
 #include "firmware_app/dynamic/dynamic_masks.h"
 
 #include <cmath>
+#include <cstdlib>
 #include <gtest/gtest.h>
 
 #include "hal/rt/alloc_hook.h"
@@ -20,34 +21,72 @@ void draw(const rt::MutableImageView& grey, int time) {
                                                  40 * std::cos(0.17 * y - 0.03 * x));
 }
 
+/// A pool of two pictures, and masks made of boxes of anything.
+struct Masks {
+  Masks() {
+    rt::FramePool::Layout layout;
+    layout.width = kWidth;
+    layout.height = kHeight;
+    layout.slots = 2;
+    layout.readers = 1;
+    pool = std::move(rt::FramePool::create(layout)).value();
+    DynamicMasksOptions options;
+    options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
+    options.detector.decode.score_threshold = 1e-5F;
+    const auto camera = vo::CameraModel::pinhole_radtan(kWidth, kHeight, 250, 250, 159.5, 119.5, {});
+    auto opened = DynamicMasks::open(options, camera.value(), pool.get());
+    if (!opened) {
+      ADD_FAILURE() << opened.error().message;
+      std::abort();
+    }
+    masks = std::move(opened).value();
+  }
+  std::unique_ptr<rt::FramePool> pool;
+  std::unique_ptr<DynamicMasks> masks;
+};
+
+TEST(DynamicMasks, ADetectionThatComesTooLateToBeCarriedTeachesNothing) {
+  const Masks m;
+  const int slot = m.pool->acquire();
+  draw(m.pool->grey(slot), 0);
+  const auto at = [](int frame) { return frame * 33 * rt::kNsPerMs; };
+  rt::FrameMeta meta;
+  const auto fly_to = [&](int first, int last) {
+    for (int frame = first; frame <= last; ++frame) {
+      meta.t_capture_ns = at(frame);
+      m.masks->mask_for(meta, m.pool->grey(slot));
+    }
+  };
+  const auto detect = [&](int frame) {
+    rt::FrameMeta of = meta;
+    of.t_capture_ns = at(frame);
+    ASSERT_TRUE(m.masks->detect({.frame = {slot, of}}));
+  };
+  fly_to(1, 2);
+  detect(2);
+  fly_to(3, 60);
+  detect(4);  // long gone from what boxes are carried through
+  fly_to(61, 61);
+  rt::MaskPyramidView late;
+  EXPECT_EQ(m.masks->late_mask(at(59), at(2), &late), at(2));
+}
+
 TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
-  rt::FramePool::Layout layout;
-  layout.width = kWidth;
-  layout.height = kHeight;
-  layout.slots = 2;
-  layout.readers = 1;
-  auto pool = rt::FramePool::create(layout);
-  ASSERT_TRUE(pool) << pool.error().message;
-  DynamicMasksOptions options;
-  options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
-  options.detector.decode.score_threshold = 1e-5F;  // boxes of anything
-  const auto camera = vo::CameraModel::pinhole_radtan(kWidth, kHeight, 250, 250, 159.5, 119.5, {});
-  ASSERT_TRUE(camera) << camera.error().message;
-  auto opened = DynamicMasks::open(options, camera.value(), pool.value().get());
-  ASSERT_TRUE(opened) << opened.error().message;
-  DynamicMasks* const masks = opened.value().get();
+  const Masks made;
+  const rt::FramePool* const pool = made.pool.get();
+  DynamicMasks* const masks = made.masks.get();
 
   std::vector<SeenPoint> points;
   for (int i = 0; i < 150; ++i) points.push_back({2.F * static_cast<float>(i), 1.5F * static_cast<float>(i), 10.F});
   constexpr int kPeriod = 10, kLate = 3;
-  int slot = pool.value()->acquire(), looked_at = pool.value()->acquire();
+  int slot = made.pool->acquire(), looked_at = made.pool->acquire();
   ASSERT_GE(looked_at, 0);
   rt::FrameMeta meta, looked_at_meta;
   int masked_frames = 0, late_masks = 0;
   const rt::HeapCounts before = rt::rt_heap_counts();
   for (int frame = 0; frame < 100; ++frame) {
     meta.t_capture_ns = (frame + 1) * 33 * rt::kNsPerMs;
-    draw(pool.value()->grey(slot), frame);
+    draw(pool->grey(slot), frame);
     // As on a thread of its own: may allocate, and comes late.
     if (frame >= kLate && frame % kPeriod == kLate) {
       EXPECT_TRUE(masks->detect({.frame = {looked_at, looked_at_meta}}));
@@ -55,7 +94,7 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
     rt::MaskPyramidView mask;
     {
       const rt::RtScope scope;
-      mask = masks->mask_for(meta, pool.value()->grey(slot));
+      mask = masks->mask_for(meta, pool->grey(slot));
       // Since the detection's picture more is known of each than when it was masked; of this one and those before, not.
       rt::MaskPyramidView late;
       constexpr rt::TimeNs kNothing = -1, kStep = 33 * rt::kNsPerMs;

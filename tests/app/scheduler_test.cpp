@@ -25,6 +25,7 @@ struct Flown {
   std::vector<RungChange> changes;
   rt::TimeNs oldest_mask = 0;
   int frames = 0, detector_frames = 0;
+  int keyframe_every = 15;
 
   /// What a frame costs on this rung, and how long a detection with this input takes; negative: it never ends.
   std::function<rt::TimeNs(const SchedulePlan&)> tracker = [](const SchedulePlan&) { return 4 * kMs; };
@@ -40,7 +41,7 @@ struct Flown {
       const rt::TimeNs cost = tracker(scheduler.plan());
       if (const auto c = scheduler.frame_done(now + cost, cost, cost + kMs / 2, cost > kFrame ? 1 : 0))
         changes.push_back(*c);
-      if (const auto o = scheduler.order(now + cost, frames % 15 == 0)) {
+      if (const auto o = scheduler.order(now + cost, frames % keyframe_every == 0)) {
         EXPECT_FALSE(busy) << "one detection at a time";
         busy = true;
         t_picture = now;
@@ -103,6 +104,17 @@ TEST(Scheduler, ASlowDetectorGetsTheSmallInputForTheMasksSake) {
   f.detector = [](int) { return 30 * kMs; };
   f.fly(kMinute);
   EXPECT_EQ(f.scheduler.plan().input_px, 416);
+}
+
+TEST(Scheduler, KeyframesOneAfterTheOtherLeaveTheMapperItsTime) {
+  Flown f(with_detector());
+  f.keyframe_every = 1;
+  f.detector = [](int) { return 150 * kMs; };
+  f.fly(kMinute);
+  EXPECT_GT(f.detector_frames, f.frames * 6 / 10) << "the period is not waited for";
+  EXPECT_LT(f.detector_frames, f.frames * 85 / 100) << "a fifth of the time is";
+  EXPECT_FALSE(f.scheduler.too_old_to_detect(240 * kMs));
+  EXPECT_TRUE(f.scheduler.too_old_to_detect(260 * kMs)) << "its mask would be 410 ms old";
 }
 
 TEST(Scheduler, ANoisyDetectorSwingsNothing) {

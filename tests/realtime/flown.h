@@ -98,7 +98,7 @@ struct Odometry {
     layout.width = world().calibration.width;
     layout.height = world().calibration.height;
     layout.pyramid_bytes = app::odometry_pyramid_bytes(layout.width, layout.height);
-    layout.slots = app::odometry_frame_slots();
+    layout.slots = app::odometry_frame_slots() + (with_detector ? app::kDetectorSlots : 0);
     layout.readers = with_detector ? app::kFrameReadersWithDetector : app::kFrameReaders;
     pool = std::move(rt::FramePool::create(layout)).value();
     auto model = app::make_camera_model(world().calibration);
