@@ -32,6 +32,11 @@ float overlap(const Box& a, const Box& b) {
   return both / (a.width() * a.height() + b.width() * b.height() - both);
 }
 
+bool suppressed(const Box& box, const BoxList& kept, float nms_iou) {
+  const auto hides = [&](const Box& b) { return b.class_id == box.class_id && overlap(b, box) > nms_iou; };
+  return std::any_of(kept.view().begin(), kept.view().end(), hides);
+}
+
 Decoder::Decoder(const ModelInfo& info, const DecodeOptions& options) : info_(info), options_(options) {
   candidates_.reserve(static_cast<std::size_t>(info.output_rows()));
   if (info.layout != Layout::kYolox) return;
@@ -109,14 +114,7 @@ void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, Box
   candidates_.resize(kept);
   // The list holds what has survived so far, so each candidate meets at most kMaxBoxes others.
   for (const Candidate& c : candidates_) {
-    bool free = true;
-    for (const Box& b : boxes->view()) {
-      if (b.class_id == c.box.class_id && overlap(b, c.box) > options_.nms_iou) {
-        free = false;
-        break;
-      }
-    }
-    if (free && !boxes->push(c.box)) return;
+    if (!suppressed(c.box, *boxes, options_.nms_iou) && !boxes->push(c.box)) return;
   }
 }
 

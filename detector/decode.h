@@ -59,5 +59,7 @@ class Decoder {
 
 /// Intersection over union of two boxes, 0..1.
 float overlap(const Box& a, const Box& b);
+/// A box of its class is among the kept ones and overlaps it by more than that.
+bool suppressed(const Box& box, const BoxList& kept, float nms_iou);
 
 }  // namespace godwit::detector

@@ -6,6 +6,8 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
+#include "detector/tiles.h"
+
 namespace godwit::detector {
 
 struct Detector::State {
@@ -23,10 +25,14 @@ struct Detector::State {
   LetterboxFit fit;
   std::vector<cv::Mat> outputs;
   std::vector<cv::String> output_names;
+  BoxList found;
+  std::vector<Box> candidates;
 
   void letterbox(const PictureView& picture);
   void fill_blob();
   rt::Result<void> run();
+  rt::Result<void> look(const PictureView& picture, BoxList* boxes);
+  rt::Result<void> look_at_tiles(const PictureView& picture, BoxList* boxes);
 };
 
 namespace {
@@ -120,6 +126,40 @@ rt::Result<void> Detector::State::run() {
   return {};
 }
 
+rt::Result<void> Detector::State::look(const PictureView& picture, BoxList* boxes) {
+  try {
+    letterbox(picture);
+  } catch (const cv::Exception& e) {
+    return rt::Error{"detector: the picture cannot be scaled: " + e.err};
+  }
+  fill_blob();
+  const auto ran = run();
+  if (!ran.ok()) return ran;
+  const cv::Mat& y = outputs[0];
+  decoder.decode({y.ptr<float>(), y.total()}, fit, boxes);
+  return {};
+}
+
+rt::Result<void> Detector::State::look_at_tiles(const PictureView& picture, BoxList* boxes) {
+  const TileList tiles = square_tiles(picture.width, picture.height);
+  candidates.assign(boxes->view().begin(), boxes->view().end());
+  for (const Tile& tile : tiles.view()) {
+    const std::ptrdiff_t first = static_cast<std::ptrdiff_t>(tile.top) * picture.stride +
+                                 static_cast<std::ptrdiff_t>(tile.left) * picture.channels;
+    const auto looked = look({picture.data + first, tile.width, tile.height, picture.stride, picture.channels}, &found);
+    if (!looked.ok()) return looked;
+    for (Box box : found.view()) {
+      box.x0 += static_cast<float>(tile.left);
+      box.x1 += static_cast<float>(tile.left);
+      box.y0 += static_cast<float>(tile.top);
+      box.y1 += static_cast<float>(tile.top);
+      if (!cut_off(box, tile, picture.width, picture.height)) candidates.push_back(box);
+    }
+  }
+  merge(candidates, options.decode.nms_iou, boxes);
+  return {};
+}
+
 rt::Result<Backend> parse_backend(std::string_view text) {
   if (text == "cpu") return Backend::kCpu;
   if (text == "cuda") return Backend::kCuda;
@@ -169,17 +209,10 @@ rt::Result<void> Detector::detect(const PictureView& picture, BoxList* boxes) {
       (picture.channels != 1 && picture.channels != 3) || picture.stride < picture.width * picture.channels) {
     return rt::Error{"detector: the picture is empty or neither grey nor of three channels"};
   }
-  try {
-    state_->letterbox(picture);
-  } catch (const cv::Exception& e) {
-    return rt::Error{"detector: the picture cannot be scaled: " + e.err};
-  }
-  state_->fill_blob();
-  const auto ran = state_->run();
-  if (!ran.ok()) return ran;
-  const cv::Mat& y = state_->outputs[0];
-  state_->decoder.decode({y.ptr<float>(), y.total()}, state_->fit, boxes);
-  return {};
+  auto looked = state_->look(picture, boxes);
+  if (looked.ok() && state_->options.tiled) looked = state_->look_at_tiles(picture, boxes);
+  if (!looked.ok()) boxes->clear();
+  return looked;
 }
 
 const ModelInfo& Detector::info() const {

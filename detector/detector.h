@@ -20,7 +20,8 @@ rt::Result<Backend> parse_backend(std::string_view text);
 
 struct DetectorOptions {
   Backend backend = Backend::kCpu;
-  int threads = 1;  ///< of OpenCV, for the whole process: OpenCV has one setting only
+  int threads = 1;     ///< of OpenCV, for the whole process: OpenCV has one setting only
+  bool tiled = false;  ///< looks at squares of a wide picture, too (tiles.h): each takes as long as the whole
   DecodeOptions decode;
 };
 

@@ -49,7 +49,8 @@ struct Config {
         small_model;  ///< for the small input; empty: the one that comes with godwit, or `model` where that is set
     godwit::detector::Backend backend = godwit::detector::Backend::kCpu;
     double min_score = 0.25;
-    int threads = 1;  ///< OpenCV's
+    bool tiled = false;  ///< looks at squares of the picture, too (detector/tiles.h)
+    int threads = 1;     ///< OpenCV's
   } detector;
 
   /// What moves, found by geometry (vo_core/motion_gate.h).

@@ -26,6 +26,7 @@ void add_movers(Config* c, std::vector<Key>* to) {
       "detector.backend", {{"cpu", Backend::kCpu}, {"cuda", Backend::kCuda}, {"cuda_fp16", Backend::kCudaFp16}},
       &c->detector.backend));
   to->push_back(keys::number("detector.min_score", 0.05, 0.95, "", &c->detector.min_score));
+  to->push_back(keys::flag("detector.tiled", &c->detector.tiled));
   to->push_back(keys::whole("detector.threads", 1, 64, &c->detector.threads));
   to->push_back(keys::flag("gate.enabled", &c->gate.enabled));
 }

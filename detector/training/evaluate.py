@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Scores a model file on the held-out pictures through OpenCV's DNN module, and times it.
 
-  evaluate.py --data DIR MODEL.onnx [MODEL.onnx ...]
+  evaluate.py --data DIR [--tiled] MODEL.onnx [MODEL.onnx ...]
 
 For every set: precision and recall at the best F1, mAP50 and mAP50-95 over the six classes, AP50 of each class, and of
-"vehicle" (car, bus and truck as one). The time is that of the network alone, one picture, one thread; several models
+"vehicle" (car, bus and truck as one). --tiled: with squares of wide pictures beside the whole, as `detector.tiled` in the
+configuration (detector/tiles.h). The time is that of the network alone, one picture, one thread; several models
 are timed in turn, picture by picture, so that they share whatever else the machine does.
 """
 from __future__ import annotations
@@ -26,11 +27,24 @@ from names import CLASSES, COCO_INDEX, STRIDES
 VEHICLE_NUMBERS = tuple(data.VEHICLE_CLASSES)
 
 
+def square_tiles(width: int, height: int, most: int = 8) -> list[tuple[int, int, int, int]]:
+    """Left, top, width and height of the tiles of detector/tiles.h."""
+    longer, shorter = max(width, height), min(width, height)
+    side = max(shorter, -(-4 * longer // (4 + 3 * (most - 1))))
+    if side >= longer:
+        return []
+    step = max(1, side - -(-side // 4))
+    count = min(most, 1 + -(-(longer - side) // step))
+    at = [i * (longer - side) // (count - 1) for i in range(count)]
+    return [(a, 0, side, shorter) if width >= height else (0, a, shorter, side) for a in at]
+
+
 @dataclass
 class Network:
     """A model file of either layout, with 6 or 80 classes."""
 
     path: Path
+    tiled: bool = False
 
     def __post_init__(self) -> None:
         self.net = cv2.dnn.readNetFromONNX(str(self.path))
@@ -68,6 +82,18 @@ class Network:
 
     def detect(self, image: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
         """Boxes x0 y0 x1 y1 in picture pixels and n x 6 scores; nothing suppressed yet."""
+        looks = [self._look(image, threshold)]
+        h, w = image.shape[:2]
+        for left, top, tw, th in square_tiles(w, h) if self.tiled else ():
+            boxes, scores = self._look(np.ascontiguousarray(image[top:top + th, left:left + tw]), threshold)
+            boxes = boxes + (left, top, left, top)
+            near = max(tw, th) / 100
+            cut = (((boxes[:, 0] < left + near) & (left > 0)) | ((boxes[:, 2] > left + tw - near) & (left + tw < w)) |
+                   ((boxes[:, 1] < top + near) & (top > 0)) | ((boxes[:, 3] > top + th - near) & (top + th < h)))
+            looks.append((boxes[~cut], scores[~cut]))
+        return np.concatenate([b for b, _ in looks]), np.concatenate([s for _, s in looks])
+
+    def _look(self, image: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
         blob, scale, left, top = self.blob(image)
         y = self._forward(blob).copy()
         if self.yolox:
@@ -145,12 +171,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True)
     parser.add_argument("--sets", nargs="+", choices=data.SETS, default=list(data.SETS))
+    parser.add_argument("--tiled", action="store_true", help="look at squares of wide pictures, too")
     parser.add_argument("--rounds", type=int, default=30, help="timed passes of each model; 0 times nothing")
     parser.add_argument("--json", help="also write the figures to this file")
     parser.add_argument("models", nargs="+", type=Path)
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    networks = [Network(p) for p in args.models]
+    networks = [Network(p, args.tiled) for p in args.models]
     report: dict = {n.path.name: {} for n in networks}
     for source in args.sets:
         pictures = data.load(Path(args.data), source, held_out=True)

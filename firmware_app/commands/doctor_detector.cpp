@@ -61,7 +61,8 @@ std::optional<rt::TimeNs> examine(const std::string& file, const detector::Detec
 std::string pace_advice(rt::TimeNs large_ns, rt::TimeNs small_ns, const SchedulerOptions& s) {
   const auto period = [&](rt::TimeNs took) { return detection_period_ns(s.period_frames * s.frame_ns, took); };
   const auto oldest = [&](rt::TimeNs took) { return oldest_mask_ns(period(took), took); };
-  const std::string mend = "; a machine with CUDA (detector.backend), or a smaller network, does better";
+  const std::string mend =
+      "; a machine with CUDA (detector.backend), a smaller network, or no tiles (detector.tiled) do better";
   if (oldest(small_ns) > s.mask_age_ns) {
     return fmt::format("too slow: masks grow {:.0f} ms old, more than {:.0f}; movers that are quick are missed",
                        rt::to_ms(oldest(small_ns)), rt::to_ms(s.mask_age_ns)) +

@@ -35,6 +35,7 @@ detector::DetectorOptions detector_options(const Config::Detector& config) {
   out.backend = config.backend;
   out.threads = config.threads;
   out.decode.score_threshold = static_cast<float>(config.min_score);
+  out.tiled = config.tiled;
   return out;
 }
 

@@ -91,7 +91,7 @@ TEST(Config, TheSchedulersLimitsStandInOrder) {
 TEST(Config, TheNetworkAndTheGate) {
   const ConfigReport good = parse_config(
       "[detector]\nenabled = false\nmodel = \"a.onnx\"\nsmall_model = \"b.onnx\"\nbackend = \"cuda_fp16\"\n"
-      "min_score = 0.5\nthreads = 2\n[gate]\nenabled = false\n",
+      "min_score = 0.5\ntiled = true\nthreads = 2\n[gate]\nenabled = false\n",
       "c.toml");
   ASSERT_TRUE(good.ok()) << good.mistakes[0];
   EXPECT_FALSE(good.config.detector.enabled);
@@ -99,6 +99,7 @@ TEST(Config, TheNetworkAndTheGate) {
   EXPECT_EQ(good.config.detector.small_model, "b.onnx");
   EXPECT_EQ(good.config.detector.backend, detector::Backend::kCudaFp16);
   EXPECT_EQ(good.config.detector.min_score, 0.5);
+  EXPECT_TRUE(good.config.detector.tiled);
   EXPECT_EQ(good.config.detector.threads, 2);
   EXPECT_FALSE(good.config.gate.enabled);
   EXPECT_THAT(parse_config("[detector]\nenabled = \"on\"\nbackend = \"gpu\"\nmin_score = 0\nthreads = 0\n"

@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "detector/tiles.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::detector {
@@ -168,6 +169,46 @@ TEST_F(DetectorTest, EmptyPicturesAreErrorsAndTheNextOneWorks) {
   EXPECT_FALSE(opened.value().detect({grey.data, 64, 48, 64, 2}, &boxes).ok());
   EXPECT_FALSE(opened.value().detect({grey.data, 64, 48, 63, 1}, &boxes).ok());
   EXPECT_TRUE(opened.value().detect({grey.data, 64, 48, 64, 1}, &boxes).ok());
+}
+
+TEST_F(DetectorTest, TiledItSeesWhatItsSquaresShow) {
+  DetectorOptions options;
+  options.decode.score_threshold = 0.001F;  // boxes of anything
+  auto plain = Detector::open(kModels + "/cbam_yolov5n_320.onnx", options);
+  options.tiled = true;
+  auto tiled = Detector::open(kModels + "/cbam_yolov5n_320.onnx", options);
+  ASSERT_TRUE(plain.ok() && tiled.ok());
+  constexpr int kWidth = 480, kHeight = 240;
+  cv::Mat picture(kHeight, kWidth, CV_8UC3);
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      const auto grey = static_cast<std::uint8_t>(110 + 60 * std::sin(0.11 * x + 0.03 * y) * std::cos(0.08 * y));
+      picture.at<cv::Vec3b>(y, x) = {grey, static_cast<std::uint8_t>(255 - grey), static_cast<std::uint8_t>(x / 2)};
+    }
+  }
+  BoxList whole, with_tiles;
+  const PictureView all{picture.data, kWidth, kHeight, kWidth * 3, 3};
+  ASSERT_TRUE(plain.value().detect(all, &whole).ok());
+  ASSERT_TRUE(tiled.value().detect(all, &with_tiles).ok());
+  std::vector<Box> expected(whole.view().begin(), whole.view().end());
+  for (const Tile& t : square_tiles(kWidth, kHeight).view()) {
+    BoxList found;
+    ASSERT_TRUE(plain.value().detect({picture.ptr(0, t.left), t.width, t.height, kWidth * 3, 3}, &found).ok());
+    for (Box b : found.view()) {
+      b.x0 += static_cast<float>(t.left);
+      b.x1 += static_cast<float>(t.left);
+      if (!cut_off(b, t, kWidth, kHeight)) expected.push_back(b);
+    }
+  }
+  ASSERT_GT(expected.size(), static_cast<std::size_t>(whole.count)) << "the squares must show something of their own";
+  BoxList merged;
+  merge(expected, options.decode.nms_iou, &merged);
+  ASSERT_EQ(with_tiles.count, merged.count);
+  for (std::size_t i = 0; i < static_cast<std::size_t>(merged.count); ++i) {
+    EXPECT_NEAR(with_tiles.box[i].x0, merged.box[i].x0, 1e-3);
+    EXPECT_NEAR(with_tiles.box[i].y1, merged.box[i].y1, 1e-3);
+    EXPECT_EQ(with_tiles.box[i].class_id, merged.box[i].class_id);
+  }
 }
 
 TEST_F(DetectorTest, BackendsByName) {

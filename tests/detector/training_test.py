@@ -10,6 +10,7 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / 'detector' / 'training'))
 import augment  # noqa: E402
 import data  # noqa: E402
+import evaluate  # noqa: E402
 import metrics  # noqa: E402
 
 
@@ -111,6 +112,34 @@ class Figures(unittest.TestCase):
         boxes = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]], float)
         kept = metrics.nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]))
         self.assertEqual(kept.tolist(), [1, 2])
+
+
+class Tiles(unittest.TestCase):
+    def test_the_squares_are_those_that_fly(self):
+        # As in tiles_test.cpp.
+        self.assertEqual(evaluate.square_tiles(1280, 720), [(x, 0, 720, 720) for x in (0, 280, 560)])
+        self.assertEqual(evaluate.square_tiles(720, 1280)[2], (0, 560, 720, 720))
+        self.assertEqual(evaluate.square_tiles(416, 416), [])
+
+    def test_a_thing_cut_off_by_a_square_is_left_to_the_others(self):
+        network = object.__new__(evaluate.Network)
+        network.tiled = True
+        bright = []
+
+        def look(image, threshold):
+            columns = np.flatnonzero(image.max((0, 2)))
+            bright.append(image.shape)
+            if not len(columns):
+                return np.zeros((0, 4)), np.zeros((0, 6))
+            return np.array([[columns[0], 0, columns[-1] + 1, image.shape[0]]], float), np.full((1, 6), 0.5)
+
+        network._look = look
+        picture = np.zeros((100, 200, 3), np.uint8)
+        picture[40:60, 95:105] = 255  # cut by the first and the last of three squares
+        boxes, scores = network.detect(picture, 0.1)
+        self.assertEqual(bright, [(100, 200, 3)] + [(100, 100, 3)] * 3)
+        self.assertEqual(boxes.tolist(), [[95, 0, 105, 100]] * 2)
+        self.assertEqual(scores.shape, (2, 6))
 
 
 if __name__ == '__main__':

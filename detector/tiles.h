@@ -1,0 +1,38 @@
+// Squares of a wide picture that the network looks at beside the whole one: scaled down less, so that small things of
+// aerial pictures are large enough to be found. Pure computation.
+#pragma once
+
+#include <array>
+#include <span>
+
+#include "detector/box.h"
+
+namespace godwit::detector {
+
+constexpr int kMaxTiles = 8;
+
+/// A part of a picture [px].
+struct Tile {
+  int left = 0, top = 0, width = 0, height = 0;
+};
+
+struct TileList {
+  std::array<Tile, kMaxTiles> tile{};
+  int count = 0;
+  std::span<const Tile> view() const { return {tile.data(), static_cast<std::size_t>(count)}; }
+};
+
+/// Tiles in a row along the longer side, each as long as the shorter one, of which neighbours share a quarter at least:
+/// what is smaller than that lies whole in one of them. So long a picture that kMaxTiles squares do not suffice gets
+/// longer ones. None for a square picture. Preconditions: sizes are positive.
+TileList square_tiles(int picture_width, int picture_height);
+
+/// A box found in a tile (in pixels of the picture) that ends where the tile does, inside the picture: part of
+/// something that a neighbour, or the whole picture, shows better.
+bool cut_off(const Box& box, const Tile& tile, int picture_width, int picture_height);
+
+/// What several looks at one picture found, as one list: class-wise greedy non-maximum suppression as in
+/// Decoder::decode, surest first, ties by order. Reorders the candidates; allocates.
+void merge(std::span<Box> candidates, float nms_iou, BoxList* boxes);
+
+}  // namespace godwit::detector
