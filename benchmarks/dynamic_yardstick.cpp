@@ -126,7 +126,8 @@ int run(const Options& options) {
   layout.width = source.value()->width();
   layout.height = source.value()->height();
   layout.pyramid_bytes = app::odometry_pyramid_bytes(layout.width, layout.height);
-  layout.slots = std::min(app::odometry_frame_slots() + options.late + 1, rt::kMaxFrameSlots);
+  layout.slots =
+      std::min(app::odometry_frame_slots() + std::max(options.late + 1, app::kDetectorSlots), rt::kMaxFrameSlots);
   layout.readers = app::kFrameReadersWithDetector;
   layout.colour = calibration.channels == 3;
   auto made = rt::FramePool::create(layout);

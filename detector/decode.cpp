@@ -93,7 +93,7 @@ bool Decoder::read_row(const float* v, int row, const LetterboxFit& fit, Candida
   return true;
 }
 
-void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, BoxList* boxes) {
+void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, BoxList* boxes, const Box& inside) {
   boxes->clear();
   const int rows = info_.output_rows();
   const std::size_t values = 5 + info_.classes.size();
@@ -101,9 +101,10 @@ void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, Box
   candidates_.clear();
   Candidate candidate;
   for (int row = 0; row < rows; ++row) {
-    if (read_row(output.data() + static_cast<std::size_t>(row) * values, row, fit, &candidate)) {
+    if (!read_row(output.data() + static_cast<std::size_t>(row) * values, row, fit, &candidate)) continue;
+    const Box& b = candidate.box;
+    if (b.x0 >= inside.x0 && b.y0 >= inside.y0 && b.x1 <= inside.x1 && b.y1 <= inside.y1)
       candidates_.push_back(candidate);
-    }
   }
   const auto surer = [](const Candidate& a, const Candidate& b) {
     return a.box.score != b.box.score ? a.box.score > b.box.score : a.row < b.row;

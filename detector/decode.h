@@ -1,6 +1,7 @@
 // From the network's numbers to boxes in the picture. Pure computation; whatever the numbers are, the result is sound.
 #pragma once
 
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -31,6 +32,8 @@ class Decoder {
   /// At most this many candidates, the surest, enter non-maximum suppression: its time is bounded whatever the network
   /// says.
   static constexpr int kMaxCandidates = 1024;
+  static constexpr float kFar = std::numeric_limits<float>::infinity();
+  static constexpr Box kAnywhere{-kFar, -kFar, kFar, kFar};
 
   Decoder(const ModelInfo& info, const DecodeOptions& options);
 
@@ -38,7 +41,8 @@ class Decoder {
   /// Each row gives at most one box, of its best class. Rows with a value that is not finite, and boxes without area in
   /// the picture, are dropped; boxes are clipped to the picture. Class-wise greedy non-maximum suppression; ties in
   /// score are settled by row, so that equal input gives equal output. Surest first.
-  void decode(std::span<const float> output, const LetterboxFit& fit, BoxList* boxes);
+  /// `inside`: boxes that reach out of it are dropped before they can suppress others.
+  void decode(std::span<const float> output, const LetterboxFit& fit, BoxList* boxes, const Box& inside = kAnywhere);
 
  private:
   struct Candidate {

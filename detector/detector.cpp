@@ -31,7 +31,7 @@ struct Detector::State {
   void letterbox(const PictureView& picture);
   void fill_blob();
   rt::Result<void> run();
-  rt::Result<void> look(const PictureView& picture, BoxList* boxes);
+  rt::Result<void> look(const PictureView& picture, const Box& inside, BoxList* boxes);
   rt::Result<void> look_at_tiles(const PictureView& picture, BoxList* boxes);
 };
 
@@ -126,7 +126,7 @@ rt::Result<void> Detector::State::run() {
   return {};
 }
 
-rt::Result<void> Detector::State::look(const PictureView& picture, BoxList* boxes) {
+rt::Result<void> Detector::State::look(const PictureView& picture, const Box& inside, BoxList* boxes) {
   try {
     letterbox(picture);
   } catch (const cv::Exception& e) {
@@ -136,7 +136,7 @@ rt::Result<void> Detector::State::look(const PictureView& picture, BoxList* boxe
   const auto ran = run();
   if (!ran.ok()) return ran;
   const cv::Mat& y = outputs[0];
-  decoder.decode({y.ptr<float>(), y.total()}, fit, boxes);
+  decoder.decode({y.ptr<float>(), y.total()}, fit, boxes, inside);
   return {};
 }
 
@@ -146,14 +146,15 @@ rt::Result<void> Detector::State::look_at_tiles(const PictureView& picture, BoxL
   for (const Tile& tile : tiles.view()) {
     const std::ptrdiff_t first = static_cast<std::ptrdiff_t>(tile.top) * picture.stride +
                                  static_cast<std::ptrdiff_t>(tile.left) * picture.channels;
-    const auto looked = look({picture.data + first, tile.width, tile.height, picture.stride, picture.channels}, &found);
+    const auto looked = look({picture.data + first, tile.width, tile.height, picture.stride, picture.channels},
+                             inner_part(tile, picture.width, picture.height), &found);
     if (!looked.ok()) return looked;
     for (Box box : found.view()) {
       box.x0 += static_cast<float>(tile.left);
       box.x1 += static_cast<float>(tile.left);
       box.y0 += static_cast<float>(tile.top);
       box.y1 += static_cast<float>(tile.top);
-      if (!cut_off(box, tile, picture.width, picture.height)) candidates.push_back(box);
+      candidates.push_back(box);
     }
   }
   merge(candidates, options.decode.nms_iou, boxes);
@@ -209,7 +210,7 @@ rt::Result<void> Detector::detect(const PictureView& picture, BoxList* boxes) {
       (picture.channels != 1 && picture.channels != 3) || picture.stride < picture.width * picture.channels) {
     return rt::Error{"detector: the picture is empty or neither grey nor of three channels"};
   }
-  auto looked = state_->look(picture, boxes);
+  auto looked = state_->look(picture, Decoder::kAnywhere, boxes);
   if (looked.ok() && state_->options.tiled) looked = state_->look_at_tiles(picture, boxes);
   if (!looked.ok()) boxes->clear();
   return looked;

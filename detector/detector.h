@@ -48,9 +48,9 @@ class Detector {
   Detector& operator=(Detector&&) noexcept;
   ~Detector();
 
-  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode). Grey is replicated into three
-  /// channels. An empty picture or a failure inside OpenCV is an error, and `boxes` is then empty; the next call may
-  /// succeed.
+  /// Finds objects; boxes in pixels of `picture`, surest first (Decoder::decode, and merge with tiles). Grey is
+  /// replicated into three channels. An empty picture or a failure inside OpenCV is an error, and `boxes` is then
+  /// empty; the next call may succeed.
   rt::Result<void> detect(const PictureView& picture, BoxList* boxes);
 
   const ModelInfo& info() const;

@@ -1,13 +1,15 @@
 #include "detector/tiles.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "detector/decode.h"
 
 namespace godwit::detector {
 namespace {
-/// Of a tile's length: what neighbours share at least, and how near to its end a box counts as cut off.
-constexpr int kSharedPart = 4, kEndPart = 100;
+/// Of a tile's length: what neighbours share, and how near to its end a box may be one that is cut off: the network is
+/// not sure of such an edge to a dozen pixels of its input.
+constexpr int kSharedPart = 4, kEndPart = 33;
 }  // namespace
 
 TileList square_tiles(int picture_width, int picture_height) {
@@ -17,7 +19,7 @@ TileList square_tiles(int picture_width, int picture_height) {
   // n tiles of length s reach over s + (n - 1) x 3 s / 4.
   constexpr int kReach = kSharedPart + (kMaxTiles - 1) * (kSharedPart - 1);
   const int side = std::max(shorter, (kSharedPart * longer + kReach - 1) / kReach);
-  if (side >= longer) return out;
+  if (side >= longer || 4 * longer <= 5 * shorter) return out;
   const int step = std::max(1, side - (side + kSharedPart - 1) / kSharedPart);
   out.count = std::min(kMaxTiles, 1 + (longer - side + step - 1) / step);
   for (int i = 0; i < out.count; ++i) {
@@ -27,13 +29,16 @@ TileList square_tiles(int picture_width, int picture_height) {
   return out;
 }
 
-bool cut_off(const Box& box, const Tile& tile, int picture_width, int picture_height) {
-  const auto near = static_cast<float>(std::max(tile.width, tile.height)) / kEndPart;
-  const int right = tile.left + tile.width, bottom = tile.top + tile.height;
-  return (tile.left > 0 && box.x0 < static_cast<float>(tile.left) + near) ||
-         (tile.top > 0 && box.y0 < static_cast<float>(tile.top) + near) ||
-         (right < picture_width && box.x1 > static_cast<float>(right) - near) ||
-         (bottom < picture_height && box.y1 > static_cast<float>(bottom) - near);
+Box inner_part(const Tile& tile, int picture_width, int picture_height) {
+  constexpr float kFar = std::numeric_limits<float>::infinity();
+  const auto w = static_cast<float>(tile.width), h = static_cast<float>(tile.height);
+  const float end = std::max(w, h) / kEndPart;
+  Box out;
+  out.x0 = tile.left > 0 ? end : -kFar;
+  out.y0 = tile.top > 0 ? end : -kFar;
+  out.x1 = tile.left + tile.width < picture_width ? w - end : kFar;
+  out.y1 = tile.top + tile.height < picture_height ? h - end : kFar;
+  return out;
 }
 
 void merge(std::span<Box> candidates, float nms_iou, BoxList* boxes) {

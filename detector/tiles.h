@@ -22,14 +22,16 @@ struct TileList {
   std::span<const Tile> view() const { return {tile.data(), static_cast<std::size_t>(count)}; }
 };
 
-/// Tiles in a row along the longer side, each as long as the shorter one, of which neighbours share a quarter at least:
-/// what is smaller than that lies whole in one of them. So long a picture that kMaxTiles squares do not suffice gets
-/// longer ones. None for a square picture. Preconditions: sizes are positive.
+/// Tiles in a row along the longer side, each as long as the shorter one, of which neighbours share about a quarter:
+/// what is shorter than a sixth lies whole in the inner part of one of them. So long a picture that kMaxTiles squares
+/// do not suffice gets longer ones. None where the longer side is at most 5/4 of the other: there is little to gain.
+/// Preconditions: sizes are positive.
 TileList square_tiles(int picture_width, int picture_height);
 
-/// A box found in a tile (in pixels of the picture) that ends where the tile does, inside the picture: part of
-/// something that a neighbour, or the whole picture, shows better.
-bool cut_off(const Box& box, const Tile& tile, int picture_width, int picture_height);
+/// Where a box must lie, in pixels of the tile, so as not to be cut off by an end of the tile inside the picture. What
+/// reaches out of it is part of something that a neighbour, or the whole picture, shows better. Without limit towards
+/// the picture's own edges.
+Box inner_part(const Tile& tile, int picture_width, int picture_height);
 
 /// What several looks at one picture found, as one list: class-wise greedy non-maximum suppression as in
 /// Decoder::decode, surest first, ties by order. Reorders the candidates; allocates.

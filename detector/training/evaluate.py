@@ -31,7 +31,7 @@ def square_tiles(width: int, height: int, most: int = 8) -> list[tuple[int, int,
     """Left, top, width and height of the tiles of detector/tiles.h."""
     longer, shorter = max(width, height), min(width, height)
     side = max(shorter, -(-4 * longer // (4 + 3 * (most - 1))))
-    if side >= longer:
+    if side >= longer or 4 * longer <= 5 * shorter:
         return []
     step = max(1, side - -(-side // 4))
     count = min(most, 1 + -(-(longer - side) // step))
@@ -87,7 +87,7 @@ class Network:
         for left, top, tw, th in square_tiles(w, h) if self.tiled else ():
             boxes, scores = self._look(np.ascontiguousarray(image[top:top + th, left:left + tw]), threshold)
             boxes = boxes + (left, top, left, top)
-            near = max(tw, th) / 100
+            near = max(tw, th) / 33
             cut = (((boxes[:, 0] < left + near) & (left > 0)) | ((boxes[:, 2] > left + tw - near) & (left + tw < w)) |
                    ((boxes[:, 1] < top + near) & (top > 0)) | ((boxes[:, 3] > top + th - near) & (top + th < h)))
             looks.append((boxes[~cut], scores[~cut]))

@@ -58,11 +58,11 @@ std::optional<rt::TimeNs> examine(const std::string& file, const detector::Detec
 
 }  // namespace
 
-std::string pace_advice(rt::TimeNs large_ns, rt::TimeNs small_ns, const SchedulerOptions& s) {
+std::string pace_advice(rt::TimeNs large_ns, rt::TimeNs small_ns, const SchedulerOptions& s, bool tiled) {
   const auto period = [&](rt::TimeNs took) { return detection_period_ns(s.period_frames * s.frame_ns, took); };
   const auto oldest = [&](rt::TimeNs took) { return oldest_mask_ns(period(took), took); };
-  const std::string mend =
-      "; a machine with CUDA (detector.backend), a smaller network, or no tiles (detector.tiled) do better";
+  const std::string mend = std::string("; a machine with CUDA (detector.backend), or a smaller network, does better") +
+                           (tiled ? "; so does detector.tiled = false" : "");
   if (oldest(small_ns) > s.mask_age_ns) {
     return fmt::format("too slow: masks grow {:.0f} ms old, more than {:.0f}; movers that are quick are missed",
                        rt::to_ms(oldest(small_ns)), rt::to_ms(s.mask_age_ns)) +
@@ -103,7 +103,7 @@ void examine_detector(const Config& config, int picture_width, int picture_heigh
   if (!large || !small) return;
   PipelineOptions pipeline;
   plan_pipeline(config, fps, &pipeline);
-  const std::string advice = pace_advice(*large, *small, pipeline.scheduler);
+  const std::string advice = pace_advice(*large, *small, pipeline.scheduler, config.detector.tiled);
   if (advice.empty()) {
     report->fits("detector: quick enough for a picture every " + std::to_string(pipeline.scheduler.period_frames) +
                  " frames");

@@ -289,8 +289,13 @@ void ThreadedPipeline::order_detection(const rt::FrameHandle& handle, const Fram
     tracker_return->give_back(waiting_.front()->slot);
     waiting_.drop_front();
   };
-  const auto age = [&](const rt::FrameHandle& frame) { return handle.meta.t_capture_ns - frame.meta.t_capture_ns; };
-  while (waiting_.front() != nullptr && scheduler_.too_old_to_detect(age(*waiting_.front()))) forget_oldest();
+  // Without a pace what a detection takes says nothing of the recording's time.
+  const auto too_old = [&](const rt::FrameHandle& frame) {
+    const rt::TimeNs t = frame.meta.t_capture_ns;
+    return newest_frame_ ? scheduler_.too_old_to_detect(record.t_done_ns - t)
+                         : handle.meta.t_capture_ns - t > options_.scheduler.mask_age_ns;
+  };
+  while (waiting_.front() != nullptr && too_old(*waiting_.front())) forget_oldest();
   if (record.is_keyframe) {
     if (waiting_.size() == waiting_.capacity()) forget_oldest();
     waiting_.try_push(handle);

@@ -140,7 +140,8 @@ std::optional<DetectorOrder> Scheduler::order(rt::TimeNs now_ns, bool keyframe) 
   if (!p.detector_on || ordered_) return std::nullopt;
   // A frame that comes a little early must not cost a whole one.
   const rt::TimeNs early = options_.frame_ns / 4;
-  const rt::TimeNs wanted = keyframe ? detection_period_ns(0, expected_ns(p.input_px)) : p.period_ns;
+  const rt::TimeNs shortest = rung_ >= Rung::kLongPeriod ? options_.period_frames * options_.frame_ns : 0;
+  const rt::TimeNs wanted = keyframe ? detection_period_ns(shortest, expected_ns(p.input_px)) : p.period_ns;
   if (t_ordered_ns_ >= 0 && now_ns - t_ordered_ns_ < wanted - early) return std::nullopt;
   ordered_ = true;
   t_ordered_ns_ = now_ns;
@@ -150,15 +151,16 @@ std::optional<DetectorOrder> Scheduler::order(rt::TimeNs now_ns, bool keyframe) 
 
 void Scheduler::detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed) {
   if (!ordered_) return;
-  const bool accident = stuck_;
+  const bool hung = stuck_;
   ordered_ = false;
   stuck_ = false;
   ++counters_.detections;
   if (failed) ++counters_.detections_failed;
   if (now_ns - t_ordered_ns_ > options_.mask_age_ns) ++counters_.detections_late;
   const double took = static_cast<double>(now_ns - t_ordered_ns_) / (static_cast<double>(ordered_px_) * ordered_px_);
-  // One that hung says nothing of what the next will cost.
-  if (!accident) cost_per_px2_ = cost_per_px2_ > 0 ? 0.8 * cost_per_px2_ + 0.2 * took : took;
+  // One that hung says nothing of what the next will cost; a second in a row does.
+  if (!hung || hung_before_) cost_per_px2_ = cost_per_px2_ > 0 ? 0.8 * cost_per_px2_ + 0.2 * took : took;
+  hung_before_ = hung;
   if (!failed) t_mask_ns_ = std::max(t_mask_ns_, t_capture_ns);
   const rt::TimeNs oldest = oldest_mask_ns(period_for(options_.input_px), expected_ns(options_.input_px));
   const double slack = large_ ? 1.0 : 0.8;  // back to the large input only with room to spare

@@ -106,8 +106,9 @@ class Scheduler {
   /// How the machine is, whenever it was looked at. temperature_c: hottest, not-a-number where unknown.
   void machine(double temperature_c, bool throttled);
 
-  /// Shall a picture go to the detector now? keyframe: one waits; the period is not waited for then, only the
-  /// detector's pause. An order given counts as under way until detection_done().
+  /// Shall a picture go to the detector now? keyframe: one waits; it does not wait for the period, only for the
+  /// detector's pause, from kLongPeriod on for the period of the rungs above. An order given counts as under way until
+  /// detection_done().
   std::optional<DetectorOrder> order(rt::TimeNs now_ns, bool keyframe);
   /// A detection ordered now of a picture of this age would end with a mask older than a mask should be.
   bool too_old_to_detect(rt::TimeNs age_ns) const {
@@ -158,6 +159,7 @@ class Scheduler {
   bool throttled_ = false;
 
   bool ordered_ = false, stuck_ = false;
+  bool hung_before_ = false;  ///< the detection before this one did
   rt::TimeNs t_ordered_ns_ = -1;
   int ordered_px_ = 0;
   rt::TimeNs t_mask_ns_ = -1;

@@ -12,14 +12,16 @@ using testing::Not;
 
 TEST(DoctorDetector, SaysWhatTheTimeOfAPictureMeans) {
   const SchedulerOptions s;  // a picture every 100 ms, masks of at most 400 ms
-  const auto advice = [&](int large_ms, int small_ms) {
-    return pace_advice(large_ms * rt::kNsPerMs, small_ms * rt::kNsPerMs, s);
+  const auto advice = [&](int large_ms, int small_ms, bool tiled = false) {
+    return pace_advice(large_ms * rt::kNsPerMs, small_ms * rt::kNsPerMs, s, tiled);
   };
   EXPECT_EQ(advice(79, 50), "");
   EXPECT_THAT(advice(120, 70), HasSubstr("a picture every 150 ms instead of every 100"));
   EXPECT_THAT(advice(200, 120), AllOf(HasSubstr("masks would grow 450 ms old, more than 400"), HasSubstr("small one"),
                                       HasSubstr("detector.backend")));
-  EXPECT_THAT(advice(400, 200), AllOf(HasSubstr("too slow: masks grow 450 ms old"), HasSubstr("detector.backend")));
+  EXPECT_THAT(advice(400, 200), AllOf(HasSubstr("too slow: masks grow 450 ms old"), HasSubstr("detector.backend"),
+                                      Not(HasSubstr("tiled"))));
+  EXPECT_THAT(advice(400, 200, true), HasSubstr("detector.tiled = false"));
 }
 
 std::string told(const Config& config, int* wrong) {

@@ -45,7 +45,7 @@ struct Masks {
   std::unique_ptr<DynamicMasks> masks;
 };
 
-TEST(DynamicMasks, ADetectionThatComesTooLateToBeCarriedTeachesNothing) {
+TEST(DynamicMasks, ADetectionThatComesTooLateToBeCarriedIsNotKnownOfAKeyframe) {
   const Masks m;
   const int slot = m.pool->acquire();
   draw(m.pool->grey(slot), 0);
@@ -62,13 +62,14 @@ TEST(DynamicMasks, ADetectionThatComesTooLateToBeCarriedTeachesNothing) {
     of.t_capture_ns = at(frame);
     ASSERT_TRUE(m.masks->detect({.frame = {slot, of}}));
   };
-  fly_to(1, 2);
-  detect(2);
-  fly_to(3, 60);
-  detect(4);  // long gone from what boxes are carried through
-  fly_to(61, 61);
   rt::MaskPyramidView late;
-  EXPECT_EQ(m.masks->late_mask(at(59), at(2), &late), at(2));
+  fly_to(1, 27);
+  detect(1);
+  fly_to(28, 38);
+  EXPECT_EQ(m.masks->late_mask(at(20), at(0), &late), at(1));
+  detect(5);  // gone from what boxes are carried through
+  fly_to(39, 39);
+  EXPECT_EQ(m.masks->late_mask(at(20), at(1), &late), at(1));
 }
 
 TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {

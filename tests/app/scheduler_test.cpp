@@ -117,6 +117,19 @@ TEST(Scheduler, KeyframesOneAfterTheOtherLeaveTheMapperItsTime) {
   EXPECT_TRUE(f.scheduler.too_old_to_detect(260 * kMs)) << "its mask would be 410 ms old";
 }
 
+TEST(Scheduler, OnTheRungOfTheLongPeriodKeyframesDoNotMakeItShort) {
+  Flown f(with_detector());
+  f.keyframe_every = 1;
+  f.detector = [](int) { return 20 * kMs; };
+  f.scheduler.machine(90, false);
+  for (int s = 0; s < 20 && f.rung() < Rung::kLongPeriod; ++s) f.fly(rt::kNsPerSecond);
+  ASSERT_EQ(f.rung(), Rung::kLongPeriod);
+  f.frames = f.detector_frames = 0;
+  f.fly(rt::kNsPerSecond);
+  EXPECT_GT(f.detector_frames, 5);
+  EXPECT_LT(f.detector_frames, f.frames * 4 / 10);
+}
+
 TEST(Scheduler, ANoisyDetectorSwingsNothing) {
   Flown f(with_detector());
   std::mt19937 random(1);
@@ -147,6 +160,16 @@ TEST(Scheduler, AStuckDetectorIsGivenUpOnAndTakenBackWhenItReturns) {
   f.fly(5 * rt::kNsPerSecond);
   EXPECT_FALSE(f.scheduler.detector_stuck());
   EXPECT_LT(f.scheduler.mask_age_ns(f.now), 300 * kMs);
+  EXPECT_EQ(f.scheduler.plan().input_px, 416) << "what hung once says nothing of the next";
+  EXPECT_LT(f.scheduler.plan().period_ns, 150 * kMs);
+}
+
+TEST(Scheduler, ADetectorThatHangsEachTimeIsASlowOne) {
+  Flown f(with_detector());
+  f.detector = [](int) { return 2500 * kMs; };
+  f.fly(kMinute);
+  EXPECT_EQ(f.scheduler.plan().input_px, 320);
+  EXPECT_GT(f.scheduler.plan().period_ns, 1500 * kMs);
 }
 
 TEST(Scheduler, GoesDownOneRungAtATimeAndClimbsBack) {

@@ -97,6 +97,23 @@ TEST(Decode, SuppressesWithinAClassOnly) {
   EXPECT_FLOAT_EQ(boxes.box[2].x0, 275.F);
 }
 
+TEST(Decode, WhatReachesOutOfThePartAskedForSuppressesNothing) {
+  const ModelInfo info = model();
+  Output out(info);
+  out.set(0, {100.F, 100.F, 50.F, 50.F, 0.8F, 1.F, 0.F});
+  out.set(1, {102.F, 100.F, 50.F, 50.F, 0.9F, 1.F, 0.F});  // surer, to x = 127
+  Decoder decoder(info, {});
+  BoxList boxes;
+  Box inside = Decoder::kAnywhere;
+  inside.x1 = 126.F;
+  decoder.decode(out.data, fit_letterbox(info, 416, 416), &boxes, inside);
+  ASSERT_EQ(boxes.count, 1);
+  EXPECT_FLOAT_EQ(boxes.box[0].x1, 125.F);
+  inside.x0 = 76.F;
+  decoder.decode(out.data, fit_letterbox(info, 416, 416), &boxes, inside);
+  EXPECT_EQ(boxes.count, 0);
+}
+
 TEST(Decode, DropsWhatIsNotFiniteAndClipsWhatIsAbsurd) {
   const ModelInfo info = model();
   const float nan = std::numeric_limits<float>::quiet_NaN(), inf = std::numeric_limits<float>::infinity();

@@ -178,36 +178,40 @@ TEST_F(DetectorTest, TiledItSeesWhatItsSquaresShow) {
   options.tiled = true;
   auto tiled = Detector::open(kModels + "/cbam_yolov5n_320.onnx", options);
   ASSERT_TRUE(plain.ok() && tiled.ok());
-  constexpr int kWidth = 480, kHeight = 240;
-  cv::Mat picture(kHeight, kWidth, CV_8UC3);
-  for (int y = 0; y < kHeight; ++y) {
-    for (int x = 0; x < kWidth; ++x) {
-      const auto grey = static_cast<std::uint8_t>(110 + 60 * std::sin(0.11 * x + 0.03 * y) * std::cos(0.08 * y));
-      picture.at<cv::Vec3b>(y, x) = {grey, static_cast<std::uint8_t>(255 - grey), static_cast<std::uint8_t>(x / 2)};
+  for (const auto& [width, height] : {std::pair(480, 240), std::pair(240, 480)}) {
+    cv::Mat wider(height, width + 16, CV_8UC3);  // rows with something behind them
+    for (int y = 0; y < wider.rows; ++y) {
+      for (int x = 0; x < wider.cols; ++x) {
+        const auto grey = static_cast<std::uint8_t>(110 + 60 * std::sin(0.11 * x + 0.03 * y) * std::cos(0.08 * y));
+        wider.at<cv::Vec3b>(y, x) = {grey, static_cast<std::uint8_t>(255 - grey), static_cast<std::uint8_t>(x / 2)};
+      }
     }
-  }
-  BoxList whole, with_tiles;
-  const PictureView all{picture.data, kWidth, kHeight, kWidth * 3, 3};
-  ASSERT_TRUE(plain.value().detect(all, &whole).ok());
-  ASSERT_TRUE(tiled.value().detect(all, &with_tiles).ok());
-  std::vector<Box> expected(whole.view().begin(), whole.view().end());
-  for (const Tile& t : square_tiles(kWidth, kHeight).view()) {
-    BoxList found;
-    ASSERT_TRUE(plain.value().detect({picture.ptr(0, t.left), t.width, t.height, kWidth * 3, 3}, &found).ok());
-    for (Box b : found.view()) {
-      b.x0 += static_cast<float>(t.left);
-      b.x1 += static_cast<float>(t.left);
-      if (!cut_off(b, t, kWidth, kHeight)) expected.push_back(b);
+    const int stride = static_cast<int>(wider.step[0]);
+    BoxList whole, with_tiles;
+    const PictureView all{wider.data, width, height, stride, 3};
+    ASSERT_TRUE(plain.value().detect(all, &whole).ok());
+    ASSERT_TRUE(tiled.value().detect(all, &with_tiles).ok());
+    ASSERT_LT(with_tiles.count, kMaxBoxes) << "or some are missing for want of room";
+    int new_ones = 0;
+    for (const Box& b : with_tiles.view()) {
+      const auto same = [&](const Box& a) { return a.x0 == b.x0 && a.y0 == b.y0 && a.x1 == b.x1 && a.y1 == b.y1; };
+      new_ones += std::none_of(whole.view().begin(), whole.view().end(), same);
     }
-  }
-  ASSERT_GT(expected.size(), static_cast<std::size_t>(whole.count)) << "the squares must show something of their own";
-  BoxList merged;
-  merge(expected, options.decode.nms_iou, &merged);
-  ASSERT_EQ(with_tiles.count, merged.count);
-  for (std::size_t i = 0; i < static_cast<std::size_t>(merged.count); ++i) {
-    EXPECT_NEAR(with_tiles.box[i].x0, merged.box[i].x0, 1e-3);
-    EXPECT_NEAR(with_tiles.box[i].y1, merged.box[i].y1, 1e-3);
-    EXPECT_EQ(with_tiles.box[i].class_id, merged.box[i].class_id);
+    EXPECT_GT(new_ones, 0) << "the squares must show something of their own";
+    // All that a square shows away from its ends is there, or something surer in its place.
+    for (const Tile& t : square_tiles(width, height).view()) {
+      const Box inside = inner_part(t, width, height);
+      BoxList found;
+      ASSERT_TRUE(plain.value().detect({wider.ptr(t.top, t.left), t.width, t.height, stride, 3}, &found).ok());
+      for (Box b : found.view()) {
+        if (b.x0 < inside.x0 || b.y0 < inside.y0 || b.x1 > inside.x1 || b.y1 > inside.y1) continue;
+        b.x0 += static_cast<float>(t.left);
+        b.x1 += static_cast<float>(t.left);
+        b.y0 += static_cast<float>(t.top);
+        b.y1 += static_cast<float>(t.top);
+        EXPECT_TRUE(suppressed(b, with_tiles, options.decode.nms_iou)) << b.x0 << " " << b.y0 << " " << b.score;
+      }
+    }
   }
 }
 

@@ -26,15 +26,17 @@ TEST(Tiles, AWidePictureIsCoveredBySquaresThatShareAQuarter) {
   EXPECT_EQ(upright.tile[2].top, 560);
 }
 
-TEST(Tiles, ASquarePictureHasNone) {
+TEST(Tiles, ANearlySquarePictureHasNone) {
   EXPECT_EQ(square_tiles(416, 416).count, 0);
   EXPECT_EQ(square_tiles(1, 1).count, 0);
+  EXPECT_EQ(square_tiles(1280, 1024).count, 0);
+  EXPECT_EQ(square_tiles(600, 481).count, 0);
+  EXPECT_EQ(square_tiles(640, 480).count, 2);
 }
 
 TEST(Tiles, AnyPictureIsCovered) {
-  for (const auto& [width, height] :
-       {std::pair(640, 480), std::pair(641, 640), std::pair(1280, 312), std::pair(1280, 8), std::pair(7, 1000),
-        std::pair(2, 1), std::pair(3, 2), std::pair(1280, 1)}) {
+  for (const auto& [width, height] : {std::pair(640, 480), std::pair(1280, 312), std::pair(1280, 8), std::pair(7, 1000),
+                                      std::pair(2, 1), std::pair(3, 2), std::pair(1280, 1)}) {
     const TileList tiles = square_tiles(width, height);
     ASSERT_GE(tiles.count, 2) << width << " x " << height;
     ASSERT_LE(tiles.count, kMaxTiles);
@@ -56,16 +58,20 @@ TEST(Tiles, AnyPictureIsCovered) {
   }
 }
 
-TEST(Tiles, ABoxIsCutOffWhereItsTileEndsInsideThePicture) {
-  const Tile middle{280, 0, 720, 720};
-  EXPECT_TRUE(cut_off({280, 100, 320, 200, 1, 0}, middle, 1280, 720));
-  EXPECT_TRUE(cut_off({900, 100, 998, 200, 1, 0}, middle, 1280, 720));
-  EXPECT_FALSE(cut_off({400, 0, 500, 720, 1, 0}, middle, 1280, 720)) << "at the picture's own edge";
-  const Tile left{0, 0, 720, 720};
-  EXPECT_FALSE(cut_off({0, 100, 40, 200, 1, 0}, left, 1280, 720));
-  EXPECT_TRUE(cut_off({0, 100, 720, 200, 1, 0}, left, 1280, 720));
-  const Tile upper{0, 0, 480, 480};
-  EXPECT_TRUE(cut_off({100, 400, 200, 479, 1, 0}, upper, 480, 640));
+TEST(Tiles, ABoxIsWholeUnlessItReachesATilesEndInsideThePicture) {
+  const Box middle = inner_part({280, 0, 720, 720}, 1280, 720);
+  EXPECT_NEAR(middle.x0, 720.F / 33, 1e-3);
+  EXPECT_NEAR(middle.x1, 720.F - 720.F / 33, 1e-3);
+  EXPECT_LT(middle.y0, -1e9F) << "the picture's own edge";
+  EXPECT_GT(middle.y1, 1e9F);
+  const Box first = inner_part({0, 0, 720, 720}, 1280, 720), last = inner_part({560, 0, 720, 720}, 1280, 720);
+  EXPECT_LT(first.x0, -1e9F);
+  EXPECT_LT(first.x1, 720.F);
+  EXPECT_GT(last.x0, 0.F);
+  EXPECT_GT(last.x1, 1e9F);
+  const Box upper = inner_part({0, 0, 480, 480}, 480, 640);
+  EXPECT_LT(upper.y1, 480.F);
+  EXPECT_GT(upper.x1, 1e9F);
 }
 
 TEST(Tiles, TheSurestOfTwoLooksAtAThingStays) {

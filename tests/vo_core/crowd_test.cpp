@@ -45,6 +45,7 @@ struct Shot {
   double hidden = 0.0;
   double roll = 0.0;
   int missing = 0;  ///< frames that did not come before it
+  int blur = 0;     ///< px that the camera swept sideways while it looked
 };
 SE3 pose_of(const Shot& shot) {
   return SE3(so3_exp(Vec3(0, 0, shot.roll)), Vec3::Zero()) * sweep(shot.place);
@@ -85,6 +86,7 @@ struct Seen {
     data = bytes.data();
     while (reinterpret_cast<std::uintptr_t>(data) % rt::kRowAlignment != 0) ++data;
     std::copy_n(street(camera, shot).view().data, pixels, data);
+    if (shot.blur > 0) sweep_over(street(camera, shot).view(), shot.blur);
     const int each = static_cast<int>(0.5 * shot.hidden * width);
     if (each > 0) {
       // One walks to the right, one to the left, and back again.
@@ -100,6 +102,14 @@ struct Seen {
     input.slot = time;
     input.sequence = static_cast<std::uint32_t>(time);
     input.t_capture_ns = time * kFrameNs;
+  }
+  void sweep_over(const rt::ImageView& sharp, int px) {
+    for (int y = 0; y < height; ++y)
+      for (int x = 0; x < width; ++x) {
+        int sum = 0;
+        for (int i = 0; i < px; ++i) sum += sharp.at(std::clamp(x + i - px / 2, 0, width - 1), y);
+        data[y * width + x] = static_cast<std::uint8_t>(sum / px);
+      }
   }
   void put_mover(int x0, int wide, std::uint32_t clothes, int time) {
     const double cell = 32.0 / width;
@@ -285,6 +295,27 @@ TEST(Crowd, FewFeaturesBesideSmallMoversAreOnlyFew) {
   // It is the share of the picture that makes the difference: a tracker that calls this a crowd carries on.
   options.crowded = 0.3;
   EXPECT_TRUE(weak(fly(order, options).frames[kFree]));
+}
+
+TEST(Crowd, WhatMotionBlurTakesIsFoundOnACoarserLevel) {
+  auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 9, 0.4}});
+  for (std::size_t i = kFree + 2; i < order.size(); ++i) order[i].blur = 9;
+  TrackerOptions options;
+  const Flight flight = fly(order, options);
+  ASSERT_TRUE(flight.frames[kFree + 1].tracked);
+  const double scale = scale_of(flight, order, kFree);
+  // The same without: it finds less where it is blurred, and where it is not, as much.
+  options.reprojector.coarser_levels = 0;
+  const Flight without = fly(order, options);
+  EXPECT_EQ(flight.frames[kFree - 1].measurements, without.frames[kFree - 1].measurements);
+  int found = 0, found_without = 0;
+  for (std::size_t i = kFree + 2; i < order.size(); ++i) {
+    found += flight.frames[i].measurements;
+    found_without += without.frames[i].measurements;
+    EXPECT_TRUE(flight.frames[i].tracked) << i;
+    EXPECT_LT(off_by(flight, order, i, scale), 0.05) << i;
+  }
+  EXPECT_GT(found, found_without * 14 / 10);
 }
 
 struct Made {

@@ -13,6 +13,13 @@ TEST(Geometry, ExpAndLogOfRigidMotionsUndoEachOther) {
   }
 }
 
+TEST(Geometry, AnAngleIsExactFromNothingToAHalfTurn) {
+  EXPECT_EQ(angle_between(Vec3::UnitX(), Vec3::UnitX()), 0.0);
+  EXPECT_NEAR(angle_between(Vec3(2, 0, 0), Vec3(3, 3e-10, 0)) / 1e-10, 1.0, 1e-9);
+  EXPECT_NEAR(angle_between(Vec3::UnitX(), Vec3(0, 5, 0)), M_PI / 2, 1e-15);
+  EXPECT_NEAR(angle_between(Vec3::UnitZ(), -Vec3::UnitZ()), M_PI, 1e-15);
+}
+
 TEST(Geometry, InverseUndoesAMotion) {
   Vec6 x;
   x << 1, 2, 3, 0.4, -0.5, 0.6;
