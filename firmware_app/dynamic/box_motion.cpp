@@ -10,6 +10,8 @@ namespace {
 constexpr int kPointsPerBox = 4;
 /// Least side of what is compared [small pixels]: less has no picture.
 constexpr int kLeastSide = 4;
+/// Mean difference by which a shift must be worse than the best to tell the two apart [grey levels].
+constexpr float kLeastContrast = 1.F;
 constexpr float kNoCost = std::numeric_limits<float>::max();
 
 /// 0, -1, 1, -2, 2, ...
@@ -87,7 +89,7 @@ bool BoxMotion::follow(const detector::Box& box, float* dx, float* dy) const {
     return sum <= most ? static_cast<float>(sum) / static_cast<float>(count) : kNoCost;
   };
   // From the middle outwards: most things have moved little, and what is known of the best spares most of the others
-  // their last rows. A picture without features stays where it is.
+  // their last rows.
   float least = kNoCost;
   int u = 0, v = 0;
   for (int i = 0; i <= 2 * kReach; ++i) {
@@ -101,6 +103,11 @@ bool BoxMotion::follow(const detector::Box& box, float* dx, float* dy) const {
     }
   }
   if (least == kNoCost) return false;
+  // Where even the farthest shift is hardly worse, nothing is known of how it moved.
+  const float worse = least + kLeastContrast;
+  if (cost(kReach, 0, worse) != kNoCost && cost(-kReach, 0, worse) != kNoCost && cost(0, kReach, worse) != kNoCost &&
+      cost(0, -kReach, worse) != kNoCost)
+    return false;
   // Between whole pixels: the minimum of two straight slopes, which the sum of absolute differences has.
   const auto part = [&](int du, int dv) {
     if (std::abs(u) * du == kReach || std::abs(v) * dv == kReach) return 0.F;

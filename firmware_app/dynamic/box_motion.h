@@ -16,13 +16,14 @@ class BoxMotion {
  public:
   static constexpr int kShrink = 4;        ///< pixels of the picture to one of the small picture, each way
   static constexpr int kReach = 6;         ///< largest motion looked for [small pixels]
-  static constexpr int kMaxBoxes = 16;     ///< more are not followed: they stay where they are and grow
+  static constexpr int kMaxBoxes = 16;     ///< more are not followed: they go with the camera
   static constexpr int kMaxPixels = 1200;  ///< of a box that are compared; larger boxes are thinned out
 
   BoxMotion(int width, int height);
 
   /// Takes the next picture and writes for each box (pixels of the picture before) how its inside moved, as a few
-  /// feature motions of equal shift. Bounded: kMaxBoxes * kMaxPixels * (2 kReach + 1)^2 comparisons at most.
+  /// feature motions of equal shift; none where it shows no motion, because it is grey in grey. Bounded: kMaxBoxes *
+  /// kMaxPixels * (2 kReach + 1)^2 comparisons at most.
   std::span<const detector::FeatureMotion> next(const rt::ImageView& grey, std::span<const detector::Box> boxes);
 
  private:

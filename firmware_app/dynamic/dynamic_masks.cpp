@@ -59,6 +59,7 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const vo::CameraM
       mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       late_mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       motion_(pool->layout().width, pool->layout().height),
+      turn_(camera),
       parked_(camera, may_park(large_.info().classes)) {
   for (std::size_t i = 0; i < large_.info().classes.size(); ++i)
     movable_.push_back(large_.movable(static_cast<int>(i)));
@@ -87,7 +88,7 @@ bool DynamicMasks::detect(const DetectorJob& job) {
 
 rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) {
   if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
-  carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.followed()), {});
+  carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.followed()), turn_.next(frame.t_capture_ns));
   parked_.note_boxes(frame.t_capture_ns, carrier_.boxes());
   if (detections_.read(&newest_)) {
     // By now its picture's boxes may be known from a newer detection than when that picture came.

@@ -9,6 +9,7 @@
 #include "detector/box_mask.h"
 #include "detector/detector.h"
 #include "firmware_app/dynamic/box_motion.h"
+#include "firmware_app/dynamic/camera_turn.h"
 #include "firmware_app/dynamic/parked_boxes.h"
 #include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/mask_source.h"
@@ -36,7 +37,10 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
 
   bool detect(const DetectorJob& job) override;
   rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) override;
-  void frame_tracked(const TrackedFrame& frame) override { parked_.note_tracked(frame); }
+  void frame_tracked(const TrackedFrame& frame) override {
+    parked_.note_tracked(frame);
+    turn_.note_tracked(frame.t_capture_ns, frame.map_id, frame.T_cam_world);
+  }
 
   /// Things that stand still in the scene and are not masked (parked_boxes.h). Tracker thread.
   int parked() const { return parked_.parked_count(); }
@@ -72,6 +76,7 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   detector::BoxMask mask_;
   detector::BoxMask late_mask_;
   BoxMotion motion_;
+  CameraTurn turn_;
   ParkedBoxes parked_;
   detector::BoxList moving_;
   Detection newest_;

@@ -72,9 +72,10 @@ std::string json_scheduler(const PipelineCounters& p) {
   }
   return fmt::format(
       R"({{"late": {}, "dropped": {}, "rungs_down": {}, "rungs_up": {}, "reasons": {{{}}}, "seconds_on_rung": {{{}}}, )"
-      R"("rung": "{}", "detections": {}, "detections_failed": {}, "detections_late": {}, "detector_stuck": {}}})",
+      R"("rung": "{}", "detections": {}, "detections_failed": {}, "detections_late": {}, "detector_stuck": {}, )"
+      R"("keyframes_undetected": {}}})",
       c.slips, c.dropped, c.steps_down, c.steps_up, reasons, seconds, rung_name(p.rung), c.detections,
-      c.detections_failed, c.detections_late, c.detector_stuck);
+      c.detections_failed, c.detections_late, c.detector_stuck, c.keyframes_undetected);
 }
 
 std::string frames_header() {

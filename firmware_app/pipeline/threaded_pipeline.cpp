@@ -288,6 +288,7 @@ void ThreadedPipeline::order_detection(const rt::FrameHandle& handle, const Fram
   const auto forget_oldest = [&] {
     tracker_return->give_back(waiting_.front()->slot);
     waiting_.drop_front();
+    scheduler_.keyframe_undetected();
   };
   // Without a pace what a detection takes says nothing of the recording's time.
   const auto too_old = [&](const rt::FrameHandle& frame) {

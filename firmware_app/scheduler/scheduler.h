@@ -81,6 +81,8 @@ struct SchedulerCounters {
   std::uint64_t detections_failed = 0;  ///< of these: without a mask
   std::uint64_t detections_late = 0;    ///< of these: longer after their order than a mask should be old
   std::uint64_t detector_stuck = 0;     ///< times it was given up on
+  /// Keyframes that waited for the detector in vain: others came, or their mask would have come too late.
+  std::uint64_t keyframes_undetected = 0;
 };
 
 /// Time between two detections that take took_ns each, at least shortest_ns: a slow detector gets a fifth of its time
@@ -114,6 +116,8 @@ class Scheduler {
   bool too_old_to_detect(rt::TimeNs age_ns) const {
     return age_ns + expected_ns(plan().input_px) > options_.mask_age_ns;
   }
+  /// A keyframe waits no longer.
+  void keyframe_undetected() { ++counters_.keyframes_undetected; }
   /// The detection under way has ended; its mask is of the frame captured at t_capture_ns. failed: there is no mask.
   void detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed);
 

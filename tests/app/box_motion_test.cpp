@@ -58,17 +58,12 @@ TEST(BoxMotion, ABoxFarBeyondThePictureIsFollowedByWhatIsSeenOfIt) {
   EXPECT_FALSE(motion.next(view(still), boxes).empty());
 }
 
-TEST(BoxMotion, WhereNothingCanBeSeenToMoveNothingMoves) {
+TEST(BoxMotion, WhereNoMotionCanBeSeenNoneIsTold) {
   BoxMotion motion(kWidth, kHeight);
   const std::vector<std::uint8_t> grey(static_cast<std::size_t>(kWidth * kHeight), 90);
   const std::vector<detector::Box> boxes = {box_at(100, 60)};
   motion.next(view(grey), boxes);
-  const auto moved = motion.next(view(grey), boxes);
-  ASSERT_FALSE(moved.empty());
-  for (const detector::FeatureMotion& m : moved) {
-    EXPECT_EQ(m.x, m.x_before);
-    EXPECT_EQ(m.y, m.y_before);
-  }
+  EXPECT_TRUE(motion.next(view(grey), boxes).empty());
 }
 
 TEST(BoxMotion, ABoxHalfOutsideIsFollowedByItsInside) {

@@ -1,6 +1,7 @@
 // From boxes to masks as the tracker thread sees it.
 #include "firmware_app/dynamic/dynamic_masks.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <gtest/gtest.h>
@@ -70,6 +71,36 @@ TEST(DynamicMasks, ADetectionThatComesTooLateToBeCarriedIsNotKnownOfAKeyframe) {
   detect(5);  // gone from what boxes are carried through
   fly_to(39, 39);
   EXPECT_EQ(m.masks->late_mask(at(20), at(1), &late), at(1));
+}
+
+TEST(DynamicMasks, ABoxInWhichNoMotionIsSeenGoesWithTheCamera) {
+  // Grey in grey; the camera turns from the first picture on. Half of the masks are told of it.
+  const auto masked_after = [](double turn_rad) {
+    const Masks m;
+    const int slot = m.pool->acquire();
+    draw(m.pool->grey(slot), 0);
+    rt::FrameMeta meta;
+    rt::MaskPyramidView mask;
+    for (int frame = 0; frame < 6; ++frame) {
+      meta.t_capture_ns = (frame + 1) * 33 * rt::kNsPerMs;
+      if (frame == 1) {
+        EXPECT_TRUE(m.masks->detect({.frame = {slot, meta}}));  // boxes of the texture
+        const rt::MutableImageView grey = m.pool->grey(slot);
+        for (int y = 0; y < grey.height; ++y) std::fill_n(grey.row(y), grey.width, std::uint8_t{90});
+      }
+      mask = m.masks->mask_for(meta, m.pool->grey(slot));
+      m.masks->frame_tracked(
+          {meta.t_capture_ns, 1, vo::SE3(vo::so3_exp(vo::Vec3(0, turn_rad * frame, 0)), vo::Vec3::Zero()), {}});
+    }
+    std::vector<std::uint8_t> out;
+    for (int y = 0; y < mask.level[0].height; ++y)
+      out.insert(out.end(), mask.level[0].row(y), mask.level[0].row(y) + mask.level[0].width);
+    return out;
+  };
+  const auto still = masked_after(0.0), turned = masked_after(0.03);
+  EXPECT_GT(std::count(still.begin(), still.end(), 0), 0) << "something must be free";
+  EXPECT_NE(still, turned);
+  EXPECT_EQ(still, masked_after(0.0)) << "nothing else makes the difference";
 }
 
 TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {

@@ -449,7 +449,8 @@ struct DetectedRun : TestRun {
 
 TEST(Pipeline, KeyframesThatCameDuringADetectionGetTheNext) {
   DetectedRun run;
-  ASSERT_TRUE(run.go().ok());
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
   const std::vector<DetectorJob>& jobs = run.detector.jobs;
   ASSERT_GE(jobs.size(), 4u);
   for (std::uint32_t i = 1; i <= 2; ++i) {
@@ -459,17 +460,20 @@ TEST(Pipeline, KeyframesThatCameDuringADetectionGetTheNext) {
   EXPECT_FALSE(jobs[3].is_keyframe);
   EXPECT_GE(jobs[3].frame.meta.sequence, 30u) << "and then the newest picture again";
   EXPECT_EQ(run.detector.wrong_pixels, 0u) << "their slots are kept for them";
+  EXPECT_EQ(counters.value().scheduler.keyframes_undetected, 14u) << "of 16";
 }
 
 TEST(Pipeline, AKeyframeWhoseMaskWouldComeTooLateMakesWay) {
   DetectedRun run;
   run.options.scheduler.mask_age_ns = 1;
   run.detector.enough = 2;
-  ASSERT_TRUE(run.go().ok());
+  const auto counters = run.go();
+  ASSERT_TRUE(counters.ok());
   const std::vector<DetectorJob>& jobs = run.detector.jobs;
   ASSERT_GE(jobs.size(), 2u);
   EXPECT_FALSE(jobs[1].is_keyframe);
   EXPECT_GE(jobs[1].frame.meta.sequence, 30u);
+  EXPECT_EQ(counters.value().scheduler.keyframes_undetected, 16u);
 }
 
 }  // namespace
