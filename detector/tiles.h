@@ -19,7 +19,8 @@ struct Tile {
 struct TileList {
   std::array<Tile, kMaxTiles> tile{};
   int count = 0;
-  std::span<const Tile> view() const { return {tile.data(), static_cast<std::size_t>(count)}; }
+  std::span<const Tile> view() const& { return {tile.data(), static_cast<std::size_t>(count)}; }
+  std::span<const Tile> view() const&& = delete;  // it would outlive its list
 };
 
 /// Tiles in a row along the longer side, each as long as the shorter one, of which neighbours share about a quarter:

@@ -199,7 +199,8 @@ TEST_F(DetectorTest, TiledItSeesWhatItsSquaresShow) {
     }
     EXPECT_GT(new_ones, 0) << "the squares must show something of their own";
     // All that a square shows away from its ends is there, or something surer in its place.
-    for (const Tile& t : square_tiles(width, height).view()) {
+    const TileList tiles = square_tiles(width, height);
+    for (const Tile& t : tiles.view()) {
       const Box inside = inner_part(t, width, height);
       BoxList found;
       ASSERT_TRUE(plain.value().detect({wider.ptr(t.top, t.left), t.width, t.height, stride, 3}, &found).ok());
