@@ -1,7 +1,6 @@
 #include "detector/tiles.h"
 
 #include <algorithm>
-#include <limits>
 
 #include "detector/decode.h"
 
@@ -30,14 +29,13 @@ TileList square_tiles(int picture_width, int picture_height) {
 }
 
 Box inner_part(const Tile& tile, int picture_width, int picture_height) {
-  constexpr float kFar = std::numeric_limits<float>::infinity();
   const auto w = static_cast<float>(tile.width), h = static_cast<float>(tile.height);
   const float end = std::max(w, h) / kEndPart;
-  Box out;
-  out.x0 = tile.left > 0 ? end : -kFar;
-  out.y0 = tile.top > 0 ? end : -kFar;
-  out.x1 = tile.left + tile.width < picture_width ? w - end : kFar;
-  out.y1 = tile.top + tile.height < picture_height ? h - end : kFar;
+  Box out = Decoder::kAnywhere;
+  if (tile.left > 0) out.x0 = end;
+  if (tile.top > 0) out.y0 = end;
+  if (tile.left + tile.width < picture_width) out.x1 = w - end;
+  if (tile.top + tile.height < picture_height) out.y1 = h - end;
   return out;
 }
 

@@ -20,7 +20,7 @@ class MaskExchange {
   /// One a frame: a bound on the cost.
   void purge_movers(rt::TimeNs now_ns);
 
-  /// The frame captured at t_capture_ns was tracked with this result.
+  /// The frame captured at t_capture_ns went through the tracker with this result.
   void frame_done(rt::TimeNs t_capture_ns, const vo::FrameResult& result);
 
  private:
