@@ -21,7 +21,7 @@
 #include <vector>
 
 #include "benchmarks/yardstick.h"
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
 #include "firmware_app/pipeline/feeder.h"
 #include "firmware_app/pipeline/mask_exchange.h"

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "benchmarks/yardstick.h"
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/feeder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/threaded_pipeline.h"

@@ -6,11 +6,11 @@
 
 #include "firmware_app/commands/check_command.h"
 #include "firmware_app/commands/doctor_command.h"
-#include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/fly_command.h"
-#include "firmware_app/commands/program.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/program.h"
 
 namespace {
 

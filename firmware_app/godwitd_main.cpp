@@ -5,10 +5,10 @@
 #include <atomic>
 #include <cstdio>
 
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/commands/program.h"
-#include "firmware_app/daemon/config_check.h"
 #include "firmware_app/daemon/daemon.h"
+#include "firmware_app/flight/config_check.h"
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/program.h"
 
 namespace {
 

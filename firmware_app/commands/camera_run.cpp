@@ -2,15 +2,15 @@
 
 #include <fmt/format.h>
 
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/link_runner.h"
+#include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/output/view_writer.h"
-#include "firmware_app/pipeline/arming.h"
-#include "firmware_app/pipeline/assembly.h"
 #include "firmware_app/pipeline/pipeline.h"
+#include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
 namespace {

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <string>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"

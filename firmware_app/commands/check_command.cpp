@@ -4,8 +4,8 @@
 #include <CLI/Formatter.hpp>
 #include <fmt/format.h>
 
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/daemon/config_check.h"
+#include "firmware_app/flight/config_check.h"
+#include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
 

@@ -5,11 +5,11 @@
 #include <thread>
 #include <unistd.h>
 
+#include "firmware_app/autopilot/pose_sampler.h"
+#include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/doctor.h"
-#include "firmware_app/link_settings.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/pipeline.h"
-#include "firmware_app/pipeline/pose_sampler.h"
 
 namespace godwit::app {
 namespace {

@@ -7,9 +7,9 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/doctor_autopilot.h"
 #include "firmware_app/commands/doctor_detector.h"
-#include "firmware_app/commands/exit_code.h"
 #include "firmware_app/commands/replay_command.h"
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
+#include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
 

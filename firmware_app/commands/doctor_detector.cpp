@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "detector/detector.h"
-#include "firmware_app/dynamic/model_files.h"
-#include "firmware_app/pipeline/arming.h"
+#include "firmware_app/flight/model_files.h"
+#include "firmware_app/flight/pipeline_plan.h"
 
 namespace godwit::app {
 namespace {

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "firmware_app/commands/doctor_report.h"
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/scheduler/scheduler.h"
 
 namespace godwit::app {

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "firmware_app/commands/doctor_report.h"
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
 #include "hal/sim/flight.h"

@@ -4,10 +4,10 @@
 #include <memory>
 
 #include "firmware_app/commands/camera_run.h"
-#include "firmware_app/commands/exit_code.h"
 #include "firmware_app/output/atomic_file.h"
-#include "firmware_app/output/flight_writer.h"
+#include "firmware_app/program/exit_code.h"
 #include "firmware_app/sim/flight_calibration.h"
+#include "firmware_app/sim/flight_writer.h"
 #include "firmware_app/sim/flown_camera.h"
 #include "hal/imu/replay/replay_imu.h"
 

@@ -7,11 +7,11 @@
 #include <memory>
 
 #include "firmware_app/commands/camera_run.h"
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/commands/whole_number.h"
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
+#include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/byte_port.h"
-#include "firmware_app/link_settings.h"
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/whole_number.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/can/can_bus.h"
 #include "hal/imu/replay/replay_imu.h"

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <string>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 namespace godwit::app {
 

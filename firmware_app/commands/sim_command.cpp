@@ -6,9 +6,9 @@
 #include <filesystem>
 #include <fmt/format.h>
 
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/commands/whole_number.h"
-#include "firmware_app/output/flight_writer.h"
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/whole_number.h"
+#include "firmware_app/sim/flight_writer.h"
 
 namespace godwit::app {
 namespace {

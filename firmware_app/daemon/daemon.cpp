@@ -4,13 +4,13 @@
 #include <memory>
 #include <string>
 
-#include "firmware_app/commands/exit_code.h"
-#include "firmware_app/link_runner.h"
+#include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
-#include "firmware_app/pipeline/arming.h"
-#include "firmware_app/pipeline/assembly.h"
+#include "firmware_app/program/exit_code.h"
 #include "firmware_app/sim/flight_calibration.h"
-#include "firmware_app/sources/looped_pictures.h"
+#include "firmware_app/sim/looped_pictures.h"
 #include "hal/machine/machine_state.h"
 
 namespace godwit::app {

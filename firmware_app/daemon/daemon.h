@@ -3,7 +3,7 @@
 
 #include <atomic>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 namespace godwit::app {
 

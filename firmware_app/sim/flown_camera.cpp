@@ -6,8 +6,8 @@
 #include <fstream>
 #include <thread>
 
-#include "firmware_app/output/flight_writer.h"
 #include "firmware_app/output/progress_bar.h"
+#include "firmware_app/sim/flight_writer.h"
 
 namespace godwit::app {
 namespace {

@@ -1,4 +1,4 @@
-#include "firmware_app/config_keys.h"
+#include "firmware_app/config/config_keys.h"
 
 #include <gtest/gtest.h>
 

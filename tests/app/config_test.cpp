@@ -1,10 +1,10 @@
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 #include <cstdlib>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "firmware_app/config_schema.h"
+#include "firmware_app/config/config_schema.h"
 
 namespace godwit::app {
 namespace {

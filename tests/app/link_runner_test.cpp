@@ -1,4 +1,4 @@
-#include "firmware_app/link_runner.h"
+#include "firmware_app/autopilot/link_runner.h"
 
 #include <gtest/gtest.h>
 

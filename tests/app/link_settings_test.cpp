@@ -1,4 +1,4 @@
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

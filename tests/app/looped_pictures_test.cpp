@@ -1,4 +1,4 @@
-#include "firmware_app/sources/looped_pictures.h"
+#include "firmware_app/sim/looped_pictures.h"
 
 #include <array>
 #include <gmock/gmock.h>

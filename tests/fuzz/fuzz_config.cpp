@@ -4,7 +4,7 @@
 #include <string>
 #include <string_view>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const auto report = godwit::app::parse_config({reinterpret_cast<const char*>(data), size}, "godwit.toml");

@@ -4,8 +4,8 @@
 #include <gtest/gtest.h>
 #include <sys/mman.h>
 
-#include "firmware_app/pipeline/arming.h"
-#include "firmware_app/pipeline/assembly.h"
+#include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/pipeline_plan.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/lock_hook.h"
 #include "tests/realtime/flown.h"

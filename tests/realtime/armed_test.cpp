@@ -11,8 +11,8 @@
 #include <thread>
 #include <unistd.h>
 
+#include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/link/link_service.h"
-#include "firmware_app/pipeline/arming.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/lock_hook.h"
 #include "hal/rt/rt_scope.h"

@@ -13,7 +13,7 @@
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/pipeline.h"
 #include "firmware_app/sim/flight_calibration.h"
-#include "firmware_app/sources/looped_pictures.h"
+#include "firmware_app/sim/looped_pictures.h"
 #include "hal/rt/wake_up.h"
 
 namespace godwit::test {

@@ -30,11 +30,15 @@ ALLOWED = [
     ('hal/rt/alloc_hook.cpp', '"', 'hal/rt/alloc_hook.h'),
     ('tests/rt/a.cpp', '"', 'hal/rt/alloc_hook.h'),
     ('detector/a.cpp', '<', 'opencv2/dnn.hpp'),
+    ('firmware_app/godwit_main.cpp', '"', 'firmware_app/commands/a.h'),
+    ('firmware_app/flight/a.cpp', '"', 'firmware_app/config/config.h'),
+    ('firmware_app/flight/a.cpp', '"', 'firmware_app/flight/b.h'),
+    ('tests/app/a.cpp', '"', 'firmware_app/sim/a.h'),
 ]
 FORBIDDEN = [
     ('vo_core/a.cpp', '"', 'hal/camera/camera.h'),
     ('vo_core/a.cpp', '"', 'detector/mask.h'),
-    ('vo_core/a.cpp', '"', 'firmware_app/config.h'),
+    ('vo_core/a.cpp', '"', 'firmware_app/config/config.h'),
     ('vo_core/a.cpp', '<', 'opencv2/core.hpp'),
     ('vo_core/a.cpp', '<', 'thread'),
     ('vo_core/a.cpp', '<', 'chrono'),
@@ -47,11 +51,16 @@ FORBIDDEN = [
     ('hal/camera/a.cpp', '"', 'vo_core/camera_model.h'),
     ('hal/rt/a.cpp', '"', 'hal/camera/camera.h'),
     ('hal/rt/a.cpp', '<', 'Eigen/Core'),
-    ('hal/can/a.cpp', '"', 'firmware_app/config.h'),
+    ('hal/can/a.cpp', '"', 'firmware_app/config/config.h'),
     ('firmware_app/a.cpp', '"', 'hal/rt/alloc_hook.h'),
     ('firmware_app/a.cpp', '"', 'tests/support/temp_folder.h'),
     ('firmware_app/pipeline/a.cpp', '"', '../config.h'),
     ('firmware_app/pipeline/a.cpp', '"', 'pipeline.h'),
+    ('firmware_app/config/a.cpp', '"', 'firmware_app/flight/a.h'),
+    ('firmware_app/pipeline/a.cpp', '"', 'firmware_app/daemon/a.h'),
+    ('firmware_app/pipeline/a.cpp', '"', 'firmware_app/godwit_main.h'),
+    ('firmware_app/daemon/a.cpp', '"', 'firmware_app/cellar/a.h'),
+    ('firmware_app/cellar/a.cpp', '"', 'firmware_app/config/config.h'),
 ]
 
 

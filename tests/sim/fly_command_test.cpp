@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 #include <sstream>
 
-#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/program/exit_code.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {

@@ -1,4 +1,4 @@
-#include "firmware_app/pipeline/arming.h"
+#include "firmware_app/flight/pipeline_plan.h"
 
 namespace godwit::app {
 

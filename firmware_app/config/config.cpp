@@ -1,9 +1,9 @@
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 #include <algorithm>
 #include <toml++/toml.h>
 
-#include "firmware_app/config_schema.h"
+#include "firmware_app/config/config_schema.h"
 #include "hal/record_file.h"
 
 namespace godwit::app {

@@ -1,4 +1,4 @@
-#include "firmware_app/pipeline/pose_sampler.h"
+#include "firmware_app/autopilot/pose_sampler.h"
 
 #include <algorithm>
 #include <array>

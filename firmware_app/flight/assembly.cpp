@@ -1,8 +1,8 @@
-#include "firmware_app/pipeline/assembly.h"
+#include "firmware_app/flight/assembly.h"
 
 #include <algorithm>
 
-#include "firmware_app/dynamic/model_files.h"
+#include "firmware_app/flight/model_files.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 
 namespace godwit::app {

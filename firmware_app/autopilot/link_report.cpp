@@ -1,6 +1,6 @@
 #include <fmt/format.h>
 
-#include "firmware_app/link_runner.h"
+#include "firmware_app/autopilot/link_runner.h"
 
 namespace godwit::app {
 

@@ -1,4 +1,4 @@
-#include "firmware_app/dynamic/model_files.h"
+#include "firmware_app/flight/model_files.h"
 
 #include <cerrno>
 #include <cstring>

@@ -10,10 +10,10 @@
 #include <thread>
 #include <vector>
 
-#include "firmware_app/config.h"
+#include "firmware_app/autopilot/pose_sampler.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/link/link_service.h"
 #include "firmware_app/pipeline/pipeline.h"
-#include "firmware_app/pipeline/pose_sampler.h"
 #include "hal/machine/machine_state.h"
 #include "hal/rt/thread.h"
 

@@ -4,7 +4,7 @@
 #include <functional>
 #include <string>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 namespace godwit::app {
 

@@ -4,7 +4,7 @@
 #include <array>
 #include <optional>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/link/link_service.h"
 
 namespace godwit::app {

@@ -3,8 +3,8 @@
 
 #include <vector>
 
-#include "firmware_app/config.h"
-#include "firmware_app/config_keys.h"
+#include "firmware_app/config/config.h"
+#include "firmware_app/config/config_keys.h"
 
 namespace godwit::app {
 

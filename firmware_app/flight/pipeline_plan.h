@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/pipeline.h"
 
 namespace godwit::app {

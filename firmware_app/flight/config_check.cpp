@@ -1,4 +1,4 @@
-#include "firmware_app/daemon/config_check.h"
+#include "firmware_app/flight/config_check.h"
 
 #include <algorithm>
 #include <cerrno>
@@ -6,8 +6,8 @@
 #include <filesystem>
 #include <unistd.h>
 
-#include "firmware_app/dynamic/model_files.h"
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
+#include "firmware_app/flight/model_files.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/sim/scenario.h"
 

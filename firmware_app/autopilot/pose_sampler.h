@@ -5,9 +5,9 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "firmware_app/autopilot/velocity_fit.h"
 #include "firmware_app/link/pose_sample.h"
 #include "firmware_app/pipeline/frame_record.h"
-#include "firmware_app/pipeline/velocity_fit.h"
 
 namespace godwit::app {
 

@@ -1,9 +1,9 @@
-#include "firmware_app/link_runner.h"
+#include "firmware_app/autopilot/link_runner.h"
 
 #include <cmath>
 #include <pthread.h>
 
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
 #include "hal/rt/rt_scope.h"
 #include "hal/rt/wake_up.h"
 

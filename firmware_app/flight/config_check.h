@@ -1,7 +1,7 @@
 // What only this machine can say of a configuration: files that must be there, processors, sizes.
 #pragma once
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 
 namespace godwit::app {
 

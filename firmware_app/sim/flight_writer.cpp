@@ -1,4 +1,4 @@
-#include "firmware_app/output/flight_writer.h"
+#include "firmware_app/sim/flight_writer.h"
 
 #include <Eigen/Geometry>
 #include <cerrno>

@@ -1,10 +1,10 @@
-#include "firmware_app/commands/program.h"
+#include "firmware_app/program/program.h"
 
 #include <csignal>
 #include <cstdio>
 #include <exception>
 
-#include "firmware_app/commands/exit_code.h"
+#include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
 namespace {

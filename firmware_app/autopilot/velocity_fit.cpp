@@ -1,4 +1,4 @@
-#include "firmware_app/pipeline/velocity_fit.h"
+#include "firmware_app/autopilot/velocity_fit.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>

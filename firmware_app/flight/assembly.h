@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "firmware_app/config.h"
+#include "firmware_app/config/config.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
 #include "firmware_app/pipeline/frame_view.h"
 #include "firmware_app/pipeline/mask_source.h"

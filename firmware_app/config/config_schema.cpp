@@ -1,8 +1,8 @@
-#include "firmware_app/config_schema.h"
+#include "firmware_app/config/config_schema.h"
 
 #include <algorithm>
 
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
 #include "hal/rt/frame_pool.h"
 
 namespace godwit::app {

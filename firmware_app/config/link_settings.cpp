@@ -1,4 +1,4 @@
-#include "firmware_app/link_settings.h"
+#include "firmware_app/config/link_settings.h"
 
 #include <Eigen/LU>
 #include <Eigen/SVD>
