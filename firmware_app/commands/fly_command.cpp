@@ -49,7 +49,7 @@ void add_fly_command(CLI::App* app, FlyArguments* a) {
                     "Draw all pictures into memory first, so that the flight has the processor for itself");
   command->footer(
       "Writes what replay writes (trajectory.tum, frames.csv, pose.csv, summary.json), and the truth: groundtruth.txt\n"
-      "(camera), groundtruth_body.txt, boxes.csv, imu.csv, range.csv, gnss.csv.\n"
+      "(camera), groundtruth_body.txt, boxes.csv, imu.csv, range.csv, gnss.csv, baro.csv.\n"
       "Example: godwit fly street --seed 7 --out out/street");
 }
 

@@ -17,6 +17,7 @@ struct FlightArguments {
   std::string scenario;
   std::string folder;  ///< where scenarios are looked up; empty: config/scenarios here, else that of the sources
   std::uint64_t seed = 1;
+  bool imu_faults = false;  ///< beside those of the scenario
 };
 
 struct SimArguments {
@@ -27,7 +28,7 @@ struct SimArguments {
   int frames = 0;  ///< 0: all
 };
 
-/// Adds SCENARIO, --seed and --scenarios.
+/// Adds SCENARIO, --seed, --scenarios and --imu-faults.
 void add_flight_options(CLI::App* command, FlightArguments* arguments);
 /// Reads the scenario and makes its world. Error: what is wrong with the file, or a flight that hits something.
 rt::Result<std::unique_ptr<sim::Flight>> make_flight(const FlightArguments& arguments);

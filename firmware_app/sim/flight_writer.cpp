@@ -12,6 +12,7 @@
 
 #include "firmware_app/output/atomic_file.h"
 #include "firmware_app/output/progress_bar.h"
+#include "hal/sim/sim_baro.h"
 
 namespace godwit::app {
 namespace {
@@ -162,6 +163,14 @@ rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out, d
                           p[0], p[1], p[2], v[0], v[1], v[2], s.sigma_position_m);
     }
     if (auto r = write_text(out + "/gnss.csv", text); !r) return r;
+  }
+  if (const auto baro = flight.barometer(epoch_ns(epoch_s))) {
+    std::string text = "t,pressure_pa,true_pressure_pa\n";
+    hal::BaroSample s;
+    while (baro->next(&s, 0) == hal::BaroStatus::kSample) {
+      text += fmt::format("{},{:.3f},{:.3f}\n", seconds(s.t_ns), s.pressure_pa, baro->truth_pa());
+    }
+    if (auto r = write_text(out + "/baro.csv", text); !r) return r;
   }
   return {};
 }

@@ -31,7 +31,7 @@ constexpr double kFlightEpochS = 1000;
 ///   mav0/cam0/data/NANOSECONDS.jpg, mav0/cam0/data.csv, mav0/cam0/sensor.yaml, mav0/imu0/data.csv,
 ///   mav0/imu0/sensor.yaml, mav0/state_groundtruth_estimate0/data.csv     EuRoC/ASL
 ///   rgb.txt (the same pictures), camera.yaml, groundtruth.txt (camera to world), groundtruth_body.txt, imu.txt    TUM
-///   boxes.csv (true boxes), imu.csv (readings and truth), range.csv, gnss.csv
+///   boxes.csv (true boxes), imu.csv (readings and truth), range.csv, gnss.csv, baro.csv
 /// rgb.txt comes last: a folder that has one is whole. Error: what could not be written and why. Ends early, with an
 /// error, when *stop becomes true.
 rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWriterOptions& options,
@@ -41,8 +41,8 @@ rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWr
 rt::Result<void> write_ground_truth(const sim::Flight& flight, const std::string& file, double epoch_s);
 
 /// Into the folder `out`: groundtruth_body.txt (pose of the body, 200 times a second), imu.csv (readings, and what an
-/// ideal sensor would have read), and range.csv and gnss.csv where the scenario has these sensors. epoch_s is added to
-/// all times.
+/// ideal sensor would have read), and range.csv, gnss.csv and baro.csv where the scenario has these sensors. epoch_s is
+/// added to all times.
 rt::Result<void> write_sensors(const sim::Flight& flight, const std::string& out, double epoch_s);
 
 /// boxes.csv's first line, and the lines of one picture.

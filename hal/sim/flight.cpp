@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "hal/sim/sim_baro.h"
+
 namespace godwit::sim {
 
 Flight::Flight(const Scenario& scenario, std::uint64_t seed)
@@ -28,6 +30,10 @@ std::unique_ptr<SimRangefinder> Flight::rangefinder(rt::TimeNs start_ns) const {
 }
 std::unique_ptr<SimGnss> Flight::gnss(rt::TimeNs start_ns) const {
   return scenario_.gnss.present ? std::make_unique<SimGnss>(*this, start_ns) : nullptr;
+}
+
+std::unique_ptr<SimBarometer> Flight::barometer(rt::TimeNs start_ns) const {
+  return scenario_.baro.present ? std::make_unique<SimBarometer>(*this, start_ns) : nullptr;
 }
 
 SimCamera::SimCamera(const Flight& flight, rt::TimeNs start_ns)

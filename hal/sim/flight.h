@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "hal/baro/baro.h"
 #include "hal/camera/camera.h"
 #include "hal/gnss/gnss.h"
 #include "hal/range/range.h"
@@ -13,6 +14,7 @@
 namespace godwit::sim {
 
 class Flight;
+class SimBarometer;  // hal/sim/sim_baro.h
 
 /// The simulated camera. Renders when asked, never waits: the caller paces.
 class SimCamera final : public hal::Camera {
@@ -93,6 +95,7 @@ class Flight {
   std::unique_ptr<SimImu> imu(rt::TimeNs start_ns) const;
   std::unique_ptr<SimRangefinder> rangefinder(rt::TimeNs start_ns) const;  ///< null where the scenario has none
   std::unique_ptr<SimGnss> gnss(rt::TimeNs start_ns) const;                ///< null where the scenario has none
+  std::unique_ptr<SimBarometer> barometer(rt::TimeNs start_ns) const;      ///< null where the scenario has none
 
  private:
   Scenario scenario_;

@@ -45,6 +45,17 @@ struct GnssPlan {
   double lost_after_s = 1e9;  ///< fixes until then, none afterwards
 };
 
+/// A static-pressure sensor. Defaults: MS5611 (TE, data sheet of 2017: 0.012 mbar at the highest oversampling); weather
+/// and self-heating wander by some 20 Pa within minutes; a hole that is not quite static sees a tenth of the dynamic
+/// pressure.
+struct BaroPlan {
+  bool present = true;
+  double rate_hz = 25, noise_pa = 1.2;
+  double wander_pa = 20, wander_s = 300;  ///< one sigma, and how fast it is forgotten
+  double dynamic_share = 0.1;             ///< of the dynamic pressure, taken off
+  double delay_ms = 0;                    ///< first-order lag of tube and filter
+};
+
 struct Scenario {
   std::string name, title;
   double max_duration_s = 1e9;
@@ -54,6 +65,7 @@ struct Scenario {
   SensorModel sensor;
   ImuModel imu;
   RangePlan range;
+  BaroPlan baro;
   GnssPlan gnss;
   CameraFaults faults;
 };

@@ -104,6 +104,7 @@ TEST_F(Fly, OtherSensorsLieBesideTheFlight) {
   EXPECT_EQ(lines("groundtruth_body.txt"), 8 * 200 + 2);
   EXPECT_EQ(lines("range.csv"), 8 * 20 + 2);
   EXPECT_EQ(lines("gnss.csv"), 8 * 5 + 2);
+  EXPECT_EQ(lines("baro.csv"), 8 * 25 + 2);
   // Readings stay near what an ideal sensor would have read: noise and start bias only.
   std::ifstream imu(folder_ / "a/imu.csv");
   std::string line;

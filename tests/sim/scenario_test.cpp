@@ -74,6 +74,28 @@ TEST_F(ScenarioFile, AbsurdValuesAreRefusedWithTheirRange) {
   EXPECT_THAT(error(leg_ + "[faults]\ngap_every_s = 1\ngap_s = 2\n"), HasSubstr("faults.gap_s: must be shorter"));
 }
 
+TEST_F(ScenarioFile, SensorFaultsAreKeysAndAbsentByDefault) {
+  const rt::Result<Scenario> plain = read_scenario(write(leg_));
+  ASSERT_TRUE(plain.ok());
+  const ImuModel& none = plain.value().imu;
+  EXPECT_EQ(none.delay_ms + none.clock_jitter_ms + none.mounting_error_deg + none.gyro_bias_ramp + none.accel_bias_ramp,
+            0);
+  const rt::Result<Scenario> read = read_scenario(
+      write(leg_ + "[imu]\ndelay_ms = 3\nclock_jitter_ms = 0.5\nmounting_error_deg = 1.5\ngyro_bias_ramp = 1e-4\n"
+                   "accel_bias_ramp = 1e-3\n[baro]\nrate_hz = 50\nnoise_pa = 3\ndelay_ms = 40\n"));
+  ASSERT_TRUE(read.ok()) << read.error().message;
+  EXPECT_EQ(read.value().imu.delay_ms, 3);
+  EXPECT_EQ(read.value().imu.clock_jitter_ms, 0.5);
+  EXPECT_EQ(read.value().imu.mounting_error_deg, 1.5);
+  EXPECT_EQ(read.value().imu.gyro_bias_ramp, 1e-4);
+  EXPECT_EQ(read.value().imu.accel_bias_ramp, 1e-3);
+  EXPECT_EQ(read.value().baro.rate_hz, 50);
+  EXPECT_EQ(read.value().baro.noise_pa, 3);
+  EXPECT_EQ(read.value().baro.delay_ms, 40);
+  EXPECT_THAT(error(leg_ + "[imu]\ndelay_ms = -1\n"), HasSubstr("imu.delay_ms: -1 is out of range; allowed: 0 to 50"));
+  EXPECT_THAT(error(leg_ + "[baro]\nrate = 5\n"), HasSubstr("baro.rate: is unknown"));
+}
+
 TEST_F(ScenarioFile, LegsSayWhatTheyNeed) {
   EXPECT_THAT(error("[flight]\nsway = 1\n"), HasSubstr("at least one [[flight.leg]]"));
   EXPECT_THAT(error("[[flight.leg]]\nkind = \"dash\"\nspeed_m_s = 5\n"),
