@@ -5,6 +5,7 @@
 #include <string>
 
 #include "hal/rt/image.h"
+#include "hal/rt/log_ring.h"
 #include "hal/rt/result.h"
 #include "hal/rt/time.h"
 
@@ -42,6 +43,9 @@ class Camera {
   /// says which one it was.
   virtual CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                             CapturedFrame* frame, std::string* why) = 0;
+  /// What the device has to say beside its pictures (lost, back, a clock that is not what it says); null: nothing. The
+  /// thread of next() writes, one other may read.
+  virtual rt::LogRing* events() { return nullptr; }
 };
 
 }  // namespace godwit::hal
