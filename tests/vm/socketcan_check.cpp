@@ -1,5 +1,5 @@
-// SocketCanBus on a real kernel: runs as root on a machine of its own (run.sh boots one) with the vcan module loaded
-// and "ip" in the path. Prints what it checked; the last line is "SOCKETCAN PASSED" or "SOCKETCAN FAILED".
+// SocketCanBus on a real kernel: runs as root where vcan0 is an interface of its own (cases/socketcan makes one).
+// Prints what it checked; the last line is "SOCKETCAN PASSED" or "SOCKETCAN FAILED".
 #include <cstdio>
 #include <cstdlib>
 #include <string>
