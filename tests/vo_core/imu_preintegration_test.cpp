@@ -1,0 +1,185 @@
+// Preintegration against motions known exactly, its Jacobians against differences, its covariance against many noisy
+// runs.
+#include "vo_core/imu_preintegration.h"
+
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <gtest/gtest.h>
+#include <limits>
+#include <memory>
+#include <random>
+
+namespace godwit::vo {
+namespace {
+
+constexpr double kG = 9.81;
+const Vec3 kGravity(0, 0, -kG);
+
+/// A motion whose derivatives are exact: the attitude about two axes, the position a sum of sines.
+struct Motion {
+  static Mat3 R(double t) { return so3_exp(Vec3(0, 0, 0.8 * std::sin(1.3 * t))) * so3_exp(Vec3(0.5 * t, 0, 0)); }
+  static Vec3 p(double t) { return Vec3(std::sin(2 * t), 0.5 * std::cos(3 * t), 0.3 * std::sin(1.5 * t + 1)); }
+  static Vec3 v(double t) { return Vec3(2 * std::cos(2 * t), -1.5 * std::sin(3 * t), 0.45 * std::cos(1.5 * t + 1)); }
+  static Vec3 a(double t) { return Vec3(-4 * std::sin(2 * t), -4.5 * std::cos(3 * t), -0.675 * std::sin(1.5 * t + 1)); }
+  static ImuReading reading(double t) {
+    const double h = 1e-5;
+    ImuReading r;
+    r.t_ns = static_cast<rt::TimeNs>(std::llround(t * 1e9));
+    r.gyro_rad_s = so3_log(R(t - h).transpose() * R(t + h)) / (2 * h);
+    r.accel_m_s2 = R(t).transpose() * (a(t) - kGravity);
+    return r;
+  }
+};
+
+TEST(ImuPreintegration, FollowsAnExactMotionBetweenAnyTwoTimes) {
+  const auto buffer = std::make_unique<ImuBuffer>();
+  for (int i = 0; i <= 400; ++i) ASSERT_TRUE(buffer->add(Motion::reading(i / 200.0)));
+  // Times between readings, not only on them.
+  const double t0 = 0.4321, t1 = 1.3987, dt = t1 - t0;
+  Preintegration d;
+  const auto coverage = buffer->integrate(432'100'000, 1'398'700'000, {}, &d);
+  EXPECT_EQ(coverage.missing_ns, 0);
+  EXPECT_NEAR(d.dt_s(), dt, 1e-12);
+  EXPECT_LT(so3_log((Motion::R(t0) * d.dR(Vec3::Zero())).transpose() * Motion::R(t1)).norm(), 2e-5);
+  EXPECT_LT((Motion::v(t0) + kGravity * dt + Motion::R(t0) * d.dv({}) - Motion::v(t1)).norm(), 2e-4);
+  EXPECT_LT(
+      (Motion::p(t0) + Motion::v(t0) * dt + 0.5 * kGravity * dt * dt + Motion::R(t0) * d.dp({}) - Motion::p(t1)).norm(),
+      2e-4);
+}
+
+Preintegration integrated(const ImuBias& bias) {
+  Preintegration d(bias);
+  for (int i = 0; i < 60; ++i) {
+    const ImuReading r = Motion::reading(0.3 + i / 200.0);
+    d.add(r.gyro_rad_s, r.accel_m_s2, 1 / 200.0, {});
+  }
+  return d;
+}
+
+TEST(ImuPreintegration, BiasJacobiansAreThoseOfDifferences) {
+  const ImuBias bias{Vec3(0.02, -0.01, 0.03), Vec3(0.1, 0.2, -0.1)};
+  const Preintegration d = integrated(bias);
+  const double h = 1e-5;
+  for (int k = 0; k < 3; ++k) {
+    ImuBias plus = bias, minus = bias;
+    plus.gyro[k] += h;
+    minus.gyro[k] -= h;
+    Preintegration a = integrated(plus), b = integrated(minus);
+    EXPECT_LT((so3_log(b.dR(minus.gyro).transpose() * a.dR(plus.gyro)) / (2 * h) - d.dR_dbg().col(k)).norm(), 1e-6);
+    EXPECT_LT(((a.dv(plus) - b.dv(minus)) / (2 * h) - d.dv_dbg().col(k)).norm(), 1e-6);
+    EXPECT_LT(((a.dp(plus) - b.dp(minus)) / (2 * h) - d.dp_dbg().col(k)).norm(), 1e-6);
+    plus = minus = bias;
+    plus.accel[k] += h;
+    minus.accel[k] -= h;
+    a = integrated(plus);
+    b = integrated(minus);
+    EXPECT_LT(((a.dv(plus) - b.dv(minus)) / (2 * h) - d.dv_dba().col(k)).norm(), 1e-6);
+    EXPECT_LT(((a.dp(plus) - b.dp(minus)) / (2 * h) - d.dp_dba().col(k)).norm(), 1e-6);
+  }
+}
+
+TEST(ImuPreintegration, AnotherBiasIsReachedToFirstOrder) {
+  const ImuBias bias, moved{Vec3(0.01, -0.02, 0.01), Vec3(0.1, -0.1, 0.05)};
+  const Preintegration d = integrated(bias), exact = integrated(moved);
+  EXPECT_LT(so3_log(d.dR(moved.gyro).transpose() * exact.dR(moved.gyro)).norm(), 1e-4);
+  EXPECT_LT((d.dv(moved) - exact.dv(moved)).norm(), 1e-3);
+  EXPECT_LT((d.dp(moved) - exact.dp(moved)).norm(), 1e-4);
+}
+
+TEST(ImuPreintegration, CovarianceIsThatOfManyNoisyRuns) {
+  ImuNoise noise;
+  noise.gyro = 2e-3;
+  noise.accel = 2e-2;
+  std::mt19937 engine(3);
+  std::normal_distribution<double> normal;
+  const Preintegration mean = integrated({});
+  Preintegration told;
+  for (int i = 0; i < 60; ++i) {
+    const ImuReading r = Motion::reading(0.3 + i / 200.0);
+    told.add(r.gyro_rad_s, r.accel_m_s2, 1 / 200.0, noise);
+  }
+  const auto random = [&] { return Vec3(normal(engine), normal(engine), normal(engine)); };
+  const Eigen::LLT<Mat9> llt(told.covariance());
+  double nees = 0;
+  Vec9 each = Vec9::Zero();
+  constexpr int kRuns = 3000;
+  for (int run = 0; run < kRuns; ++run) {
+    Preintegration d;
+    for (int i = 0; i < 60; ++i) {
+      const ImuReading r = Motion::reading(0.3 + i / 200.0);
+      d.add(r.gyro_rad_s + noise.gyro * std::sqrt(200.0) * random(),
+            r.accel_m_s2 + noise.accel * std::sqrt(200.0) * random(), 1 / 200.0, noise);
+    }
+    Vec9 e;
+    e << so3_log(mean.dR(Vec3::Zero()).transpose() * d.dR(Vec3::Zero())), d.dv({}) - mean.dv({}),
+        d.dp({}) - mean.dp({});
+    nees += e.dot(llt.solve(e)) / 9 / kRuns;
+    each += e.cwiseAbs2() / kRuns;
+  }
+  EXPECT_NEAR(nees, 1.0, 0.05);
+  for (int i = 0; i < 9; ++i) EXPECT_NEAR(each[i] / told.covariance()(i, i), 1.0, 0.12) << i;
+}
+
+TEST(ImuPreintegration, RightJacobianAndItsInverse) {
+  const Vec3 w(0.4, -0.7, 0.3), d(1e-6, -2e-6, 1.5e-6);
+  EXPECT_LT((so3_log(so3_exp(w).transpose() * so3_exp(w + d)) - so3_right_jacobian(w) * d).norm(), 1e-11);
+  for (const Vec3& x : {w, Vec3(1e-7, 0, 2e-7), Vec3(1e-4, 2e-4, -1e-4)}) {
+    EXPECT_LT((so3_right_jacobian(x) * so3_right_jacobian_inverse(x) - Mat3::Identity()).norm(), 1e-9);
+  }
+}
+
+TEST(ImuBuffer, TellsWhatIsMissing) {
+  const auto buffer = std::make_unique<ImuBuffer>();
+  const rt::TimeNs ms = rt::kNsPerMs;
+  Preintegration none;
+  EXPECT_EQ(buffer->integrate(0, 10 * ms, {}, &none).missing_ns, 10 * ms);
+  EXPECT_EQ(none.dt_s(), 0);
+  for (int i = 0; i <= 100; ++i) {
+    if (i > 40 && i < 60) continue;
+    ImuReading r;
+    r.t_ns = 100 * ms + i * 5 * ms;
+    r.gyro_rad_s = Vec3(0, 0, 0.5);
+    buffer->add(r);
+  }
+  const auto integrate = [&](rt::TimeNs t0, rt::TimeNs t1) {
+    Preintegration d;
+    const auto c = buffer->integrate(t0, t1, {}, &d);
+    // Whatever is missing, the turn goes on as it was.
+    EXPECT_NEAR(so3_log(d.dR(Vec3::Zero())).z(), 0.5 * rt::to_seconds(t1 - t0), 1e-9);
+    return c.missing_ns;
+  };
+  EXPECT_EQ(integrate(110 * ms, 290 * ms), 0);
+  EXPECT_EQ(integrate(90 * ms, 110 * ms), 10 * ms);
+  EXPECT_EQ(integrate(590 * ms, 604 * ms), 4 * ms);
+  EXPECT_EQ(integrate(290 * ms, 410 * ms), 100 * ms);
+  EXPECT_EQ(integrate(700 * ms, 720 * ms), 20 * ms);
+  EXPECT_EQ(integrate(10 * ms, 20 * ms), 10 * ms);
+}
+
+TEST(ImuBuffer, RefusesNonsenseAndKeepsTwoSeconds) {
+  const auto buffer = std::make_unique<ImuBuffer>();
+  ImuReading r;
+  for (int i = 0; i < 10'000; ++i) {
+    r.t_ns = i * rt::kNsPerMs;
+    EXPECT_TRUE(buffer->add(r));
+  }
+  EXPECT_FALSE(buffer->add(r)) << "the same time again";
+  r.t_ns += rt::kNsPerMs;
+  r.accel_m_s2.x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(buffer->add(r));
+  r.accel_m_s2.x() = 0;
+  r.gyro_rad_s.y() = std::numeric_limits<double>::infinity();
+  EXPECT_FALSE(buffer->add(r));
+  EXPECT_EQ(buffer->refused(), 3u);
+  Preintegration d;
+  EXPECT_EQ(buffer->integrate(8000 * rt::kNsPerMs, 9999 * rt::kNsPerMs, {}, &d).missing_ns, 0);
+  EXPECT_EQ(buffer->integrate(7900 * rt::kNsPerMs, 8000 * rt::kNsPerMs, {}, &d).missing_ns > 0, true);
+  // A clock that was set back by more than is kept begins anew.
+  r = {};
+  r.t_ns = 5;
+  EXPECT_TRUE(buffer->add(r));
+  EXPECT_EQ(buffer->newest_ns(), 5);
+}
+
+}  // namespace
+}  // namespace godwit::vo
