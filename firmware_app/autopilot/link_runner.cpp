@@ -155,10 +155,12 @@ void LinkRunner::watch(const link::LinkStatus& s) {
 
 rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
                                                    const std::optional<std::array<double, 16>>& T_body_cam,
-                                                   const LinkLog& log, const std::atomic<bool>& user_stop) {
+                                                   const LinkLog& log, const std::atomic<bool>& user_stop,
+                                                   link::DepartureRing* departures) {
   if (!wants_link(config)) return std::unique_ptr<LinkRunner>();
   LinkRunnerOptions options;
   options.settings = link_settings(config, T_body_cam);
+  options.settings.departures = departures;
   options.thread = config.threads.link;
   options.log = log;
   auto link = LinkRunner::start(options, user_stop);

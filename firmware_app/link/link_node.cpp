@@ -254,7 +254,10 @@ void LinkNode::account_sent_pose(rt::TimeNs now_ns) {
   if (!pose_under_way_ || (!by_bytes && queue_.last_pose_sent() != pose_number_)) return;
   pose_under_way_ = false;
   const rt::TimeNs sent_ns = config_.clock != nullptr ? config_.clock() : now_ns;
-  if (sample_sent_.t_published_ns != 0) own_time_.add(sent_ns - sample_sent_.t_published_ns);
+  if (sample_sent_.t_published_ns != 0) {
+    own_time_.add(sent_ns - sample_sent_.t_published_ns);
+    if (ports_.departures != nullptr) ports_.departures->try_push({sample_sent_.t_capture_ns, sent_ns});
+  }
   if (sample_sent_.quality <= 0) return;
   LatencyPath path;
   const TimeSync& sync = endpoint_.time_sync();

@@ -14,6 +14,7 @@
 #include "firmware_app/link/mavlink/endpoint.h"
 #include "firmware_app/link/odometry_message.h"
 #include "firmware_app/link/parameters.h"
+#include "firmware_app/link/pose_departure.h"
 #include "firmware_app/link/pose_sample.h"
 #include "firmware_app/link/storage.h"
 #include "firmware_app/link/telemetry.h"
@@ -99,6 +100,7 @@ struct LinkPorts {
   rt::TripleBuffer<SystemHealth>* health = nullptr;
   InputRing* inputs = nullptr;
   rt::TripleBuffer<LinkStatus>* status = nullptr;
+  DepartureRing* departures = nullptr;  ///< null: nobody measures
 };
 
 /// step() belongs to one thread; time is its argument; it does not allocate, lock or block, and its work is bounded.

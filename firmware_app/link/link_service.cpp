@@ -41,7 +41,7 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
   if (self->wake_fd_ < 0) return rt::Error{"link: eventfd: " + std::string(std::strerror(errno))};
   auto node = LinkNode::create(config,
                                {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
-                                &self->inputs_, &self->status_},
+                                &self->inputs_, &self->status_, settings.departures},
                                stored.value());
   if (!node.ok()) return node.error();
   self->node_ = std::move(node).value();

@@ -15,6 +15,7 @@ struct LinkSettings {
   std::string mavlink;       ///< "udp:HOST:PORT" or "serial:DEVICE:BAUD"; empty: through the tunnel on the bus
   std::string state_folder;  ///< where parameters and reset counter are kept; must exist; empty: nothing is kept
   LinkConfig link;           ///< identity.unique_id all zeros: made from /etc/machine-id
+  DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
 
 class LinkService {

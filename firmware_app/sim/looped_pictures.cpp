@@ -44,8 +44,9 @@ hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::ui
   const rt::TimeNs due = start_ns_ + next_ * options_.interval_ns;
   if (options_.real_pace) {
     const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
-    rt::sleep_until_ns(std::min(due, give_up));
-    if (due > give_up) return hal::CameraStatus::kTimeout;
+    const rt::TimeNs delivery = due + options_.delivery_ns;
+    rt::sleep_until_ns(std::min(delivery, give_up));
+    if (delivery > give_up) return hal::CameraStatus::kTimeout;
   }
   // 0 1 2 3 2 1 0 1 ..
   const std::int64_t period = 2 * (static_cast<std::int64_t>(count_) - 1);

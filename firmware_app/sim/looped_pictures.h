@@ -18,6 +18,8 @@ class LoopedPictures final : public hal::Camera {
     rt::TimeNs interval_ns = 33'333'333;  ///< between two pictures
     std::int64_t total = 0;               ///< pictures to deliver; 0: no end
     bool real_pace = true;                ///< next() returns when the picture is due; false: at once
+    /// Real pace: a picture is delivered so long after its capture time, as exposure, readout and transfer take.
+    rt::TimeNs delivery_ns = 0;
   };
 
   /// Takes up to `pictures` pictures from the source, leaving bad ones out. Error: fewer than two came, or stopped.

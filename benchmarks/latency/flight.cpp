@@ -1,0 +1,289 @@
+#include "benchmarks/latency/flight.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <malloc.h>
+
+#include "benchmarks/latency/thread_watch.h"
+#include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/output/statistics.h"
+#include "firmware_app/sim/flight_calibration.h"
+#include "hal/camera/replay/replay_camera.h"
+#include "hal/rt/alloc_hook.h"
+#include "hal/sim/flight.h"
+
+namespace godwit::bench {
+namespace {
+
+constexpr double kDefaultFps = 30;
+constexpr rt::TimeNs kLookPeriodNs = rt::kNsPerSecond;
+
+/// Heap operations of one thread inside its real-time scopes since the first time that it was asked.
+class HeapWatch {
+ public:
+  /// The thread itself. No allocation.
+  void look() {
+    const rt::HeapCounts c = rt::rt_heap_counts();
+    const auto all = static_cast<std::int64_t>(c.allocations + c.frees);
+    if (first_ < 0) first_ = all;
+    // Relaxed: a figure, read after the thread's last look or a look late.
+    count_.store(all - first_, std::memory_order_relaxed);
+  }
+  std::int64_t count() const { return count_.load(std::memory_order_relaxed); }
+
+ private:
+  std::int64_t first_ = -1;              ///< the thread's own
+  std::atomic<std::int64_t> count_{-1};  ///< the thread -> the collector
+};
+
+/// The camera as it is, with an eye on its thread's heap.
+class WatchedCamera final : public hal::Camera {
+ public:
+  WatchedCamera(std::unique_ptr<hal::Camera> camera, HeapWatch* heap) : camera_(std::move(camera)), heap_(heap) {}
+  int width() const override { return camera_->width(); }
+  int height() const override { return camera_->height(); }
+  int channels() const override { return camera_->channels(); }
+  bool real_time() const override { return camera_->real_time(); }
+  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
+                         hal::CapturedFrame* frame, std::string* why) override {
+    heap_->look();
+    return camera_->next(grey, bgr, timeout_ns, frame, why);
+  }
+
+ private:
+  std::unique_ptr<hal::Camera> camera_;
+  HeapWatch* heap_;
+};
+
+/// Tracker's heap; everything else goes on to the autopilot.
+class WatchedTap final : public app::FrameTap {
+ public:
+  WatchedTap(app::FrameTap* next, HeapWatch* heap) : next_(next), heap_(heap) {}
+  void frame_done(const app::FrameRecord& record) override {
+    if (next_ != nullptr) next_->frame_done(record);
+    heap_->look();
+  }
+  void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_ns) override {
+    if (next_ != nullptr) next_->no_picture(now_ns, t_last_ns);
+  }
+  void imu_silent(bool silent) override {
+    if (next_ != nullptr) next_->imu_silent(silent);
+  }
+  void detector_failed(bool failed) override {
+    if (next_ != nullptr) next_->detector_failed(failed);
+  }
+
+ private:
+  app::FrameTap* next_;
+  HeapWatch* heap_;
+};
+
+double line_of_status_mb(const char* key) {
+  std::ifstream status("/proc/self/status");
+  std::string word;
+  double kb = 0;
+  while (status >> word) {
+    if (word == key) {
+      status >> kb;
+      break;
+    }
+  }
+  return kb * 1024 / 1e6;
+}
+
+/// Collects what the flight brings; the thread that runs the pipeline.
+class Collector final : public app::FrameSink {
+ public:
+  Collector(FlightFigures* figures, rt::TimeNs delivery_ns, double deadline_ms, link::DepartureRing* departures)
+      : figures_(figures), delivery_ns_(delivery_ns), deadline_ms_(deadline_ms), departures_(departures) {}
+
+  void started(const std::vector<std::string>& refused) override {
+    figures_->refused = app::privilege_warning(figures_->refused, refused);
+  }
+  rt::Result<void> take(const app::FrameRecord& r) override {
+    const rt::TimeNs now = rt::monotonic_now_ns();
+    if (now >= t_next_look_ns_) {
+      threads_.look(now);
+      t_next_look_ns_ = now + kLookPeriodNs;
+      figures_->resident_mb = line_of_status_mb("VmRSS:");
+      figures_->locked_mb = line_of_status_mb("VmLck:");
+    }
+    drain();
+    if (t_first_ns_ == 0) t_first_ns_ = r.t_capture_ns;
+    ++figures_->due;
+    if (r.fate == app::FrameFate::kBadPicture) ++figures_->bad;
+    if (r.fate == app::FrameFate::kDroppedSlots || r.fate == app::FrameFate::kDroppedLate) ++figures_->dropped;
+    if (r.fate != app::FrameFate::kProcessed) return {};
+    ++figures_->processed;
+    figures_->seconds = rt::to_seconds(r.t_done_ns - t_first_ns_ - delivery_ns_);
+    const double age_ms = rt::to_ms(r.t_done_ns - r.t_capture_ns);
+    const double own_ms = age_ms - rt::to_ms(delivery_ns_);
+    if (own_ms > deadline_ms_) ++figures_->missed_deadlines;
+    if (!r.tracked) return {};
+    if (figures_->first_pose_frames < 0) {
+      figures_->first_pose_frames = static_cast<std::int64_t>(figures_->due) - 1;
+      figures_->first_pose_ms = rt::to_ms(r.t_capture_ns - t_first_ns_);
+    }
+    ++figures_->tracked;
+    figures_->t_s.push_back(static_cast<float>(rt::to_seconds(r.t_capture_ns - t_first_ns_)));
+    figures_->age_ms.push_back(static_cast<float>(age_ms));
+    figures_->own_ms.push_back(static_cast<float>(own_ms));
+    age_.push_back(age_ms);
+    own_.push_back(own_ms);
+    cpu_.push_back(rt::to_ms(r.thread_cpu_ns));
+    for (std::size_t i = 0; i < app::kStages; ++i) stages_[i].push_back(rt::to_ms(r.stage_ns[i]));
+    return {};
+  }
+
+  /// Link thread's news, also after the last frame.
+  void drain() {
+    for (link::PoseDeparture d; departures_->try_pop(&d);) {
+      bus_.push_back(rt::to_ms(d.t_sent_ns - d.t_capture_ns));
+      own_bus_.push_back(bus_.back() - rt::to_ms(delivery_ns_));
+    }
+  }
+
+  void finish() {
+    drain();
+    figures_->age_at_pose = distribution_of(std::move(age_));
+    figures_->own_at_pose = distribution_of(std::move(own_));
+    figures_->age_at_bus = distribution_of(std::move(bus_));
+    figures_->own_at_bus = distribution_of(std::move(own_bus_));
+    figures_->tracker_cpu = distribution_of(std::move(cpu_));
+    for (std::size_t i = 0; i < app::kStages; ++i) figures_->stages[i] = distribution_of(std::move(stages_[i]));
+    if (figures_->seconds > 0) {
+      figures_->poses_hz = static_cast<double>(figures_->tracked) / figures_->seconds;
+    }
+    figures_->threads = threads_.uses();
+    figures_->peak_mb = app::peak_memory_mb();
+  }
+
+ private:
+  FlightFigures* figures_;
+  const rt::TimeNs delivery_ns_;
+  const double deadline_ms_;
+  link::DepartureRing* departures_;
+  ThreadWatch threads_;
+  rt::TimeNs t_next_look_ns_ = 0, t_first_ns_ = 0;
+  std::vector<double> age_, own_, bus_, own_bus_, cpu_;
+  std::array<std::vector<double>, app::kStages> stages_;
+};
+
+}  // namespace
+
+Distribution distribution_of(std::vector<double> values) {
+  Distribution d;
+  if (values.empty()) return d;
+  std::sort(values.begin(), values.end());
+  d.samples = values.size();
+  const auto at = [&](double percent) { return app::percentile_of_sorted(values, percent); };
+  d.p50 = at(50);
+  d.p95 = at(95);
+  d.p99 = at(99);
+  d.p999 = at(99.9);
+  d.max = values.back();
+  for (const double v : values) d.mean += v / static_cast<double>(values.size());
+  return d;
+}
+
+rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& stop) {
+  Pictures out;
+  out.name = o.input;
+  std::unique_ptr<hal::Camera> source;
+  std::unique_ptr<sim::Flight> flight;
+  if (std::filesystem::is_directory(o.input)) {
+    hal::ReplayOptions replay;
+    auto opened = hal::ReplayCamera::open(o.input, replay);
+    if (!opened) return opened.error();
+    out.calibration = opened.value()->calibration();
+    source = std::move(opened).value();
+  } else {
+    const app::Config defaults;
+    const bool here = std::filesystem::is_directory(defaults.camera.scenarios);
+    const auto scenario = sim::find_scenario(o.input, here ? defaults.camera.scenarios : GODWIT_SCENARIO_DIR);
+    if (!scenario) {
+      return rt::Error{o.input + ": neither the folder of a sequence nor a scenario: " + scenario.error().message};
+    }
+    flight = std::make_unique<sim::Flight>(scenario.value(), o.seed);
+    out.calibration = app::calibration_of(*flight);
+    source = flight->camera(0);
+    out.name += ", seed " + std::to_string(o.seed);
+  }
+  out.fps = o.fps > 0 ? o.fps : out.calibration.fps > 0 ? out.calibration.fps : kDefaultFps;
+  // The readout is a share of the frame interval: another rate must not change the pictures' own.
+  if (out.calibration.fps > 0) out.calibration.readout_frames *= out.fps / out.calibration.fps;
+  out.calibration.fps = out.fps;
+  auto camera = app::LoopedPictures::record(source.get(), static_cast<int>(o.pictures), {}, stop);
+  if (!camera) return camera.error();
+  out.camera = std::move(camera).value();
+  // What reading or drawing needed goes back, so that the memory told is the flight's.
+  source.reset();
+  flight.reset();
+  malloc_trim(0);
+  return out;
+}
+
+rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::Config config, bool detector,
+                              const std::atomic<bool>& stop) {
+  FlightFigures figures;
+  figures.detector = config.detector.enabled = detector;
+  figures.deadline_ms = 1000 / pictures.fps;
+  figures.pictures_mb = 1e-6 * pictures.camera->pictures() * pictures.camera->width() * pictures.camera->height();
+  if (!o.can.empty()) config.can.bus = o.can;
+  auto assembled = app::assemble(config, pictures.calibration, {});
+  if (!assembled) return assembled.error();
+  const app::Assembly& parts = assembled.value();
+
+  app::LoopedPictures::Options looped;
+  looped.interval_ns = static_cast<rt::TimeNs>(1e9 / pictures.fps);
+  looped.total = std::max<std::int64_t>(2, static_cast<std::int64_t>(o.seconds * pictures.fps));
+  looped.delivery_ns = static_cast<rt::TimeNs>(o.delays.delivery_ms() * 1e6);
+  HeapWatch camera_heap, tracker_heap;
+  WatchedCamera camera(pictures.camera->again(looped), &camera_heap);
+
+  app::PipelineOptions pipeline;
+  pipeline.newest_frame = true;
+  const hal::MachineMonitor machine;
+  pipeline.machine = &machine;
+  parts.plan_detector(&pipeline);
+  app::plan_pipeline(config, pictures.fps, &pipeline);
+  link::DepartureRing departures;
+  auto link = app::start_link(
+      config, pictures.calibration.T_body_cam, [](app::LinkLogLevel, const std::string&) {}, stop, &departures);
+  if (!link) return link.error();
+  app::LinkRunner* const autopilot = link.value().get();
+  WatchedTap tap(autopilot, &tracker_heap);
+  pipeline.tap = &tap;
+  figures.refused = app::arm_memory(config);
+  Collector collector(&figures, looped.delivery_ns, figures.deadline_ms, &departures);
+  const auto run = app::run_pipeline(&camera, parts.stage.get(), parts.pool.get(), pipeline, &collector, stop);
+  if (!run) return run.error();
+  if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};
+  std::vector<app::ThreadReport> reports = run.value().threads;
+  if (autopilot != nullptr) {
+    autopilot->finish();
+    reports.push_back(autopilot->thread_report());
+  }
+  collector.finish();
+  const app::SchedulerCounters& s = run.value().scheduler;
+  figures.detections = s.detections;
+  figures.detections_failed = s.detections_failed;
+  figures.detections_late = s.detections_late;
+  figures.rung = app::rung_name(run.value().rung);
+  for (ThreadUse& use : figures.threads) {
+    for (const app::ThreadReport& report : reports) {
+      const std::string name = report.name;
+      if (use.name != name && use.name != "gw-" + name) continue;
+      use.minor_faults = static_cast<std::int64_t>(report.faults.minor);
+      use.major_faults = static_cast<std::int64_t>(report.faults.major);
+    }
+    if (use.name == "gw-camera") use.allocations = camera_heap.count();
+    if (use.name == "gw-tracker") use.allocations = tracker_heap.count();
+  }
+  return figures;
+}
+
+}  // namespace godwit::bench

@@ -1,0 +1,83 @@
+// godwit-latency: see options.cpp for what it says of itself.
+#include <cstdio>
+#include <fmt/format.h>
+
+#include "benchmarks/latency/compare.h"
+#include "benchmarks/latency/flight.h"
+#include "benchmarks/latency/options.h"
+#include "benchmarks/latency/plot.h"
+#include "benchmarks/latency/report.h"
+#include "firmware_app/output/atomic_file.h"
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/program.h"
+
+namespace {
+
+using namespace godwit;
+
+int fail(int code, const std::string& message) {
+  fmt::print(stderr, "godwit-latency: {}\n", message);
+  return code;
+}
+
+/// Opens the file before the flights, so that a folder that is not there does not cost their time.
+rt::Result<void> open_output(const std::string& name, app::AtomicFile* file) {
+  return name.empty() ? rt::Result<void>() : file->open(name);
+}
+
+int finish(const std::string& name, const std::string& text, app::AtomicFile* file) {
+  if (name.empty()) return app::kExitDone;
+  if (auto r = file->write(text); !r) return fail(app::kExitFailed, r.error().message);
+  if (auto r = file->commit(); !r) return fail(app::kExitFailed, r.error().message);
+  return app::kExitDone;
+}
+
+int run_compare(const bench::Options& o, app::AtomicFile* file, const std::atomic<bool>& stop) {
+  const auto compared = bench::compare(o, stop);
+  if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
+  if (!compared) return fail(app::kExitFailed, compared.error().message);
+  if (!o.quiet) fmt::print("{}", bench::table(o, compared.value()));
+  return finish(o.json_file, bench::json(o, compared.value()), file);
+}
+
+int run(int argc, char** argv, const std::atomic<bool>& stop) {
+  bench::Options o;
+  if (const int code = bench::parse_options(argc, argv, &o); code >= 0) return code;
+  app::AtomicFile json_file;
+  if (auto r = open_output(o.json_file, &json_file); !r) return fail(app::kExitRefused, r.error().message);
+  if (!o.compare.empty()) return run_compare(o, &json_file, stop);
+  app::Config config;
+  if (!o.config_file.empty()) {
+    const app::ConfigReport report = app::load_config(o.config_file);
+    for (const std::string& mistake : report.mistakes) fail(app::kExitRefused, mistake);
+    if (!report.ok()) return app::kExitRefused;
+    config = report.config;
+  } else {
+    config.threads.lock_memory = true;
+  }
+  auto pictures = bench::load_pictures(o, stop);
+  if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
+  if (!pictures) return fail(app::kExitRefused, pictures.error().message);
+  bench::Run run{pictures.value().name, o.config_file, pictures.value().fps, o.delays, {}};
+  bool poses = true;
+  for (const bool detector : {true, false}) {
+    if (o.detector == (detector ? "off" : "on")) continue;
+    auto flown = bench::fly(pictures.value(), o, config, detector, stop);
+    if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
+    if (!flown) return fail(app::kExitFailed, flown.error().message);
+    poses = poses && flown.value().tracked > 0;
+    run.flights.push_back(std::move(flown).value());
+  }
+  if (!o.quiet) fmt::print("{}", bench::table(run));
+  if (!o.plot_file.empty()) {
+    if (auto r = bench::plot(run, o.plot_file); !r) return fail(app::kExitFailed, r.error().message);
+  }
+  const int code = finish(o.json_file, bench::json(run), &json_file);
+  return code == app::kExitDone && !poses ? static_cast<int>(app::kExitFailed) : code;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return app::run_program("godwit-latency", run, argc, argv);
+}

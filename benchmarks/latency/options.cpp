@@ -1,0 +1,67 @@
+#include "benchmarks/latency/options.h"
+
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <CLI/Validators.hpp>
+
+#include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/whole_number.h"
+
+namespace godwit::bench {
+
+int parse_options(int argc, char** argv, Options* o) {
+  CLI::App app(
+      "The whole pipeline at the camera's own pace: how old a pose is when it stands and when it is on the bus, what "
+      "each thread costs, what was late or lost.",
+      "godwit-latency");
+  app.set_version_flag("--version", "godwit-latency " GODWIT_VERSION);
+  app.add_option("INPUT", o->input,
+                 "Folder of a recorded sequence (as for godwit replay), or the name of a simulated scenario")
+      ->required();
+  app.add_option("--config", o->config_file, "Configuration (TOML) to fly with")->type_name("FILE");
+  app.add_option("--detector", o->detector, "on, off, or both: one flight after the other")
+      ->check(CLI::IsMember({"on", "off", "both"}))
+      ->capture_default_str();
+  app.add_option("--seconds", o->seconds, "Length of each flight [s]")
+      ->check(CLI::Range(1.0, 86'400.0))
+      ->capture_default_str();
+  app.add_option("--fps", o->fps, "Pictures a second (default: the sequence's own rate, or 30)")
+      ->check(CLI::Range(1.0, 240.0));
+  app.add_option("--pictures", o->pictures, "Pictures held in memory and shown forth and back")
+      ->check(app::whole_number(2, 100'000))
+      ->capture_default_str();
+  app.add_option("--seed", o->seed, "Of a simulated scenario")->capture_default_str();
+  const auto delay = [&](const char* name, double* value, const char* what) {
+    app.add_option(name, *value, what)->check(CLI::Range(0.0, 1000.0))->capture_default_str();
+  };
+  delay("--exposure-ms", &o->delays.exposure_ms, "Exposure of the simulated camera [ms]");
+  delay("--readout-ms", &o->delays.readout_ms, "Readout of the simulated camera, first row to last [ms]");
+  delay("--transfer-ms", &o->delays.transfer_ms, "From the last row to the picture in memory [ms]");
+  app.add_option("--can", o->can, "Bus to send the poses on: multicast:N or socketcan:IFACE (default: none)")
+      ->type_name("BUS");
+  app.add_option("--json", o->json_file, "Writes all figures (schema: docs/figures.schema.json)")->type_name("FILE");
+  app.add_option("--plot", o->plot_file, "Draws histogram and timeline of the ages")->type_name("FILE.png");
+  app.add_option(
+         "--compare", o->compare,
+         "Two configurations (.toml) or two godwit-latency programs, flown in turn; INPUT and the other options "
+         "hold for both")
+      ->expected(2)
+      ->type_name("A B");
+  app.add_option("--pairs", o->pairs, "Pairs of flights that --compare makes")
+      ->check(app::whole_number(3, 1000))
+      ->capture_default_str();
+  app.add_flag("--quiet", o->quiet, "No table");
+  app.footer(
+      "Ages count from the middle of the exposure of the middle row. Exit codes: 0 done; 1 failed on the way, or no\n"
+      "pose was found; 2 did not start; 130 interrupted.\n"
+      "Example: godwit-latency street --seconds 30 --exposure-ms 8 --readout-ms 15 --transfer-ms 5 --json out.json");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? app::kExitDone : app::kExitRefused;
+  }
+  return -1;
+}
+
+}  // namespace godwit::bench

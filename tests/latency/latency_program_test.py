@@ -1,0 +1,144 @@
+"""godwit-latency as a program: its JSON keeps the schema that summary.json keeps too, a comparison pairs what it should,
+and what is wrong gets a word and an exit code.
+
+  latency_program_test.py GODWIT_LATENCY GODWIT SCHEMA
+"""
+import json
+import os
+import pathlib
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import jsonschema
+
+LATENCY, GODWIT, SCHEMA = sys.argv[1:4]
+ROOT = pathlib.Path(SCHEMA).resolve().parent.parent
+# Cheap to draw, and enough to be flown: few pictures, forth and back.
+SHORT = ['street', '--pictures', '12', '--seconds', '2', '--fps', '30']
+
+
+def run(*words, **keywords):
+    return subprocess.run([str(w) for w in words], capture_output=True, text=True, cwd=ROOT, timeout=200, **keywords)
+
+
+def fake_program(folder, name, tracker_ms):
+    """A program that takes godwit-latency's options and writes figures of its own, a third slower at each call."""
+    program = pathlib.Path(folder) / name
+    program.write_text(f'''#!/usr/bin/python3
+import json, pathlib, sys
+log = pathlib.Path({str(folder)!r}) / 'calls'
+calls = log.read_text().split() if log.exists() else []
+log.write_text(' '.join(calls + [{name!r}]))
+ms = {tracker_ms} * 1.3 ** len(calls)
+of = dict(median=ms, p99=2 * ms)
+out = sys.argv[sys.argv.index('--json') + 1]
+json.dump(dict(kind='latency', flights=[dict(detector=True, tracker_cpu_ms=of, own_at_pose_ms=of,
+                                             threads=[dict(cpu_percent=10 * ms)])]), open(out, 'w'))
+''')
+    program.chmod(0o755)
+    return program
+
+
+class Latency(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.validator = jsonschema.Draft202012Validator(json.loads(pathlib.Path(SCHEMA).read_text()))
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.out = pathlib.Path(cls.folder.name)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.folder.cleanup()
+
+    def test_figures_keep_the_schema(self):
+        done = run(LATENCY, *SHORT, '--exposure-ms', 8, '--readout-ms', 15, '--transfer-ms', 5, '--json',
+                   self.out / 'a.json', '--plot', self.out / 'a.png')
+        # 1: no pose was found in so short a flight; everything is written all the same.
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        figures = json.loads((self.out / 'a.json').read_text())
+        self.validator.validate(figures)
+        self.assertEqual(figures['camera_delays_ms']['delivery'], 16.5)
+        self.assertEqual([f['detector'] for f in figures['flights']], [True, False])
+        for flight in figures['flights']:
+            self.assertEqual(flight['frames']['due'], 60)
+            self.assertIn('gw-tracker', [t['name'] for t in flight['threads']])
+            for thread in flight['threads']:
+                self.assertEqual(thread.get('heap_operations', 0), 0, thread)
+            if flight['frames']['tracked']:
+                self.assertGreaterEqual(flight['age_at_pose_ms']['median'], 16.5)
+            self.assertIsNone(flight['age_at_bus_ms'])
+        self.assertTrue((self.out / 'a.png').read_bytes().startswith(b'\x89PNG'))
+        self.assertIn('our own share', done.stdout)
+
+    def test_summary_keeps_the_schema(self):
+        done = run(GODWIT, 'fly', 'street', '--frames', 3, '--out', self.out / 'fly')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        summary = json.loads((self.out / 'fly' / 'summary.json').read_text())
+        self.validator.validate(summary)
+        # And the schema is not one that takes anything.
+        del summary['tracked_share']
+        with self.assertRaises(jsonschema.ValidationError):
+            self.validator.validate(summary)
+
+    def test_comparison_takes_turns_and_is_blind_to_a_machine_that_slows_down(self):
+        with tempfile.TemporaryDirectory() as folder:
+            a, b = fake_program(folder, 'a', 1.2), fake_program(folder, 'b', 1.0)
+            done = run(LATENCY, 'street', '--compare', a, b, '--pairs', 10, '--json', f'{folder}/ratio.json')
+            self.assertEqual(done.returncode, 0, done.stderr)
+            ratio = json.loads(pathlib.Path(folder, 'ratio.json').read_text())
+            self.validator.validate(ratio)
+            self.assertEqual(pathlib.Path(folder, 'calls').read_text().split(), ['a', 'b', 'b', 'a'] * 5)
+            median = {r['figure']: r['median'] for r in ratio['ratios']}['detector on: tracker CPU time, median']
+            # 1.2 / 1.3 and 1.2 * 1.3 in turn: the slowing down cancels.
+            self.assertAlmostEqual(median, (1.2 / 1.3 + 1.2 * 1.3) / 2, places=6)
+
+    def test_a_side_that_fails_is_named(self):
+        done = run(LATENCY, 'street', '--compare', '/bin/false', '/bin/true', '--pairs', 3)
+        self.assertEqual(done.returncode, 1)
+        self.assertIn('/bin/false: ended with 1', done.stderr)
+
+    def test_no_such_sequence(self):
+        done = run(LATENCY, '/nowhere/at/all', '--seconds', 1)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('/nowhere/at/all: neither the folder of a sequence nor a scenario', done.stderr)
+
+    def test_output_that_cannot_be_made_is_told_before_flying(self):
+        done = run(LATENCY, *SHORT, '--json', self.out / 'no' / 'such' / 'folder.json')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('folder.json', done.stderr)
+
+    def test_a_full_disc_leaves_no_half_figures(self):
+        def no_room():
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+        done = run(LATENCY, *SHORT, '--detector', 'off', '--json', self.out / 'full.json', preexec_fn=no_room)
+        self.assertEqual(done.returncode, 1, done.stderr)
+        self.assertIn('full.json', done.stderr)
+        self.assertEqual([p for p in os.listdir(self.out) if p.startswith('full')], [])
+
+    def test_no_right_to_lock_is_said(self):
+        def few_rights():
+            resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+            if os.geteuid() == 0:
+                os.setresgid(65534, 65534, 65534)
+                os.setresuid(65534, 65534, 65534)
+        with tempfile.TemporaryDirectory() as folder:
+            os.chmod(folder, 0o777)
+            done = run(LATENCY, *SHORT, '--detector', 'off', '--json', f'{folder}/l.json', preexec_fn=few_rights)
+            self.assertIn(done.returncode, (0, 1), done.stderr)
+            refused = json.loads(pathlib.Path(folder, 'l.json').read_text())['flights'][0]['refused']
+            self.assertIn('flying on without', refused)
+            self.assertIn('warning: ' + refused, done.stdout)
+
+    def test_wrong_options(self):
+        for words in (['--seconds', '0'], ['--pairs', '1'], ['--detector', 'maybe'], ['--compare', 'one']):
+            done = run(LATENCY, 'street', *words)
+            self.assertEqual(done.returncode, 2, words)
+
+
+if __name__ == '__main__':
+    unittest.main(argv=sys.argv[:1])
