@@ -219,6 +219,8 @@ rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& st
   auto camera = app::LoopedPictures::record(source.get(), static_cast<int>(o.pictures), {}, stop);
   if (!camera) return camera.error();
   out.camera = std::move(camera).value();
+  // The pictures are kept grey: no slot needs room for colour.
+  out.calibration.channels = 1;
   // What reading or drawing needed goes back, so that the memory told is the flight's.
   source.reset();
   flight.reset();
