@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 
+#include "hal/rt/log_ring.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {
@@ -14,6 +15,14 @@ struct ImuSample {
   rt::TimeNs t_ns = 0;                 ///< when it was measured, CLOCK_MONOTONIC (replay, simulation: rebased)
   std::array<double, 3> gyro_rad_s{};  ///< angular rate
   std::array<double, 3> accel_m_s2{};  ///< specific force: a sensor at rest and level reads (0, 0, -9.81) in FRD
+  std::uint8_t flags = 0;              ///< ImuFlag, or-ed: what the device knows to be wrong
+};
+
+/// What a sensor says against its own sample.
+enum ImuFlag : std::uint8_t {
+  kImuGap = 1,             ///< samples before this one are missing: its buffer ran over, or it was started anew
+  kImuGyroSaturated = 2,   ///< an axis stands at the end of its range: the true rate is larger
+  kImuAccelSaturated = 4,  ///< the same of the acceleration
 };
 
 /// What became of one call of Imu::next.
@@ -31,6 +40,8 @@ class Imu {
   virtual double rate_hz() const = 0;
   /// Writes the next sample. Waits at most timeout_ns.
   virtual ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) = 0;
+  /// What the device has to say beside its samples; null: nothing. The thread of next() writes, one other may read.
+  virtual rt::LogRing* events() { return nullptr; }
 };
 
 }  // namespace godwit::hal
