@@ -53,17 +53,6 @@ std::int16_t word(const std::uint8_t* p) {
 
 }  // namespace
 
-const char* ReadingCheck::look(const std::array<std::int16_t, 6>& raw) {
-  same_ = any_ && raw == last_ ? same_ + 1 : 1;
-  last_ = raw;
-  any_ = true;
-  const auto all = [&](std::int16_t v) { return std::all_of(raw.begin(), raw.end(), [&](auto r) { return r == v; }); };
-  if (same_ >= kEmptySamples && all(0)) return "all readings are zero: the sensor sleeps, or nothing is wired";
-  if (same_ >= kEmptySamples && all(-1)) return "all bits are set: the chip does not drive the bus";
-  if (same_ >= kStuckSamples) return "the readings are stuck";
-  return nullptr;
-}
-
 rt::Result<std::unique_ptr<Mpu6000>> Mpu6000::open(std::unique_ptr<SpiPort> port, const Mpu6000Settings& settings) {
   if (settings.rate_hz < 10 || settings.rate_hz > 1000 || 1000 % settings.rate_hz != 0) {
     return rt::Error{"mpu6000: a rate of " + std::to_string(settings.rate_hz) +
@@ -295,7 +284,7 @@ ImuStatus Mpu6000::fetch(int count, rt::TimeNs before_ns) {
 }
 
 bool Mpu6000::convert(const std::uint8_t* raw, ImuSample* sample) {
-  std::array<std::int16_t, 6> r{};  // acceleration, gyro
+  std::array<std::int32_t, 6> r{};  // acceleration, gyro
   for (std::size_t a = 0; a < 3; ++a) {
     r[a] = word(raw + 2 * a);
     r[3 + a] = word(raw + 8 + 2 * a);
@@ -312,8 +301,8 @@ bool Mpu6000::convert(const std::uint8_t* raw, ImuSample* sample) {
   for (std::size_t a = 0; a < 3; ++a) {
     accel[a] = r[a] * accel_unit;
     gyro[a] = r[3 + a] * gyro_unit;
-    if (std::abs(static_cast<int>(r[a])) >= 32767) sample->flags |= kImuAccelSaturated;
-    if (std::abs(static_cast<int>(r[3 + a])) >= 32767) sample->flags |= kImuGyroSaturated;
+    if (std::abs(r[a]) >= 32767) sample->flags |= kImuAccelSaturated;
+    if (std::abs(r[3 + a]) >= 32767) sample->flags |= kImuGyroSaturated;
   }
   if (sample->flags != 0) ++counters_.saturated;
   sample->accel_m_s2 = settings_.axes.apply(accel);

@@ -10,6 +10,7 @@
 #include "hal/imu/axis_map.h"
 #include "hal/imu/imu.h"
 #include "hal/imu/mpu6000/spi_port.h"
+#include "hal/imu/reading_check.h"
 #include "hal/imu/sample_clock.h"
 #include "hal/rt/log_ring.h"
 #include "hal/rt/result.h"
@@ -32,24 +33,6 @@ struct Mpu6000Counters {
   std::uint64_t bus_errors = 0;  ///< transfers that failed
   std::uint64_t nonsense = 0;    ///< all zero, all ones, or the same reading for too long
   std::uint64_t restarts = 0;
-};
-
-/// What is wrong with a reading that no sensor gives; null: nothing.
-class ReadingCheck {
- public:
-  /// Readings of a sensor that works differ: its noise is a unit or more on each of six axes, so that two in a row are
-  /// the same once in some thousand times. The same one for longer than this is a register that nobody writes any more.
-  static constexpr int kStuckSamples = 20;
-  /// Three in a row: one may be chance.
-  static constexpr int kEmptySamples = 3;
-  /// Six raw values. No allocation.
-  const char* look(const std::array<std::int16_t, 6>& raw);
-  void reset() { *this = {}; }
-
- private:
-  std::array<std::int16_t, 6> last_{};
-  int same_ = 0;
-  bool any_ = false;
 };
 
 /// Reads the chip's buffer (FIFO): next() looks into it some times around the moment at which a sample is expected.

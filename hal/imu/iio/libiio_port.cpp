@@ -1,0 +1,174 @@
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <ctime>
+#include <iio.h>
+#include <poll.h>
+
+#include "hal/imu/iio/iio_port.h"
+#include "hal/rt/wake_up.h"
+
+namespace godwit::hal {
+namespace {
+
+/// Scans that the driver gathers before it wakes us: two steps of delay at most, with a wake-up for every other sample.
+constexpr std::size_t kGather = 2;
+
+class LibiioPort final : public IioPort {
+ public:
+  LibiioPort() = default;
+  ~LibiioPort() override { close(); }
+  LibiioPort(const LibiioPort&) = delete;
+  LibiioPort& operator=(const LibiioPort&) = delete;
+
+  rt::Result<IioDescription> open(const std::string& device, double rate_hz) override {
+    close();
+    context_ = iio_create_local_context();
+    if (context_ == nullptr) return rt::Error{"iio: " + std::string(std::strerror(errno))};
+    device_ = iio_context_find_device(context_, device.c_str());
+    if (device_ == nullptr) return refuse("iio: no device " + device + "; " + listed());
+    IioDescription out;
+    static constexpr const char* kNames[6] = {"accel_x", "accel_y", "accel_z", "anglvel_x", "anglvel_y", "anglvel_z"};
+    for (std::size_t i = 0; i < 6; ++i) {
+      channel_[i] = iio_device_find_channel(device_, kNames[i], false);
+      if (channel_[i] == nullptr) continue;
+      iio_channel_enable(channel_[i]);
+      const iio_data_format* const format = iio_channel_get_data_format(channel_[i]);
+      // iio_channel_convert writes as many bytes as the format has.
+      if (format->length > 32) return refuse("iio: " + device + ": readings of more than 32 bits are not read here");
+      double scale = 0;
+      if (iio_channel_attr_read_double(channel_[i], "scale", &scale) != 0) {
+        return refuse("iio: " + device + ": channel " + kNames[i] + " has no scale");
+      }
+      (i < 3 ? out.has_accel : out.has_gyro) = true;
+      (i < 3 ? out.accel_scale : out.gyro_scale) = scale;
+      (i < 3 ? out.accel_bits : out.gyro_bits) = static_cast<int>(format->bits);
+    }
+    if (!out.has_accel && !out.has_gyro) return refuse("iio: " + device + " measures neither rate nor acceleration");
+    time_ = iio_device_find_channel(device_, "timestamp", false);
+    if (time_ == nullptr) return refuse("iio: " + device + " gives no times");
+    iio_channel_enable(time_);
+    // The default is CLOCK_REALTIME, which may be set at any moment.
+    if (iio_device_attr_write(device_, "current_timestamp_clock", "monotonic") < 0) out.clock_offset_ns = -realtime();
+    set_rate(rate_hz, &out);
+    buffer_ = iio_device_create_buffer(device_, kGather, false);
+    if (buffer_ == nullptr) {
+      return refuse("iio: " + device + ": its buffer cannot be switched on (no trigger?): " + std::strerror(errno));
+    }
+    iio_buffer_set_blocking_mode(buffer_, false);
+    return out;
+  }
+
+  void close() override {
+    if (buffer_ != nullptr) iio_buffer_destroy(buffer_);
+    if (context_ != nullptr) iio_context_destroy(context_);
+    buffer_ = nullptr;
+    context_ = nullptr;
+    device_ = nullptr;
+    channel_ = {};
+    filled_ = next_ = nullptr;
+  }
+
+  Read read(IioScan* scans, int capacity, rt::TimeNs timeout_ns, int* count) override {
+    *count = 0;
+    if (next_ == filled_) {
+      pollfd p{iio_buffer_get_poll_fd(buffer_), POLLIN, 0};
+      const timespec t{static_cast<time_t>(timeout_ns / rt::kNsPerSecond),
+                       static_cast<long>(timeout_ns % rt::kNsPerSecond)};
+      if (ppoll(&p, 1, &t, nullptr) <= 0) return Read::kNothing;
+      if ((p.revents & POLLIN) == 0) return Read::kGone;
+      const ssize_t bytes = iio_buffer_refill(buffer_);
+      if (bytes == -EAGAIN || bytes == -EINTR || bytes == -ETIMEDOUT) return Read::kNothing;
+      if (bytes <= 0) return Read::kGone;
+      next_ = static_cast<const char*>(iio_buffer_start(buffer_));
+      filled_ = static_cast<const char*>(iio_buffer_end(buffer_));
+    }
+    const std::ptrdiff_t step = iio_buffer_step(buffer_);
+    const char* const start = static_cast<const char*>(iio_buffer_start(buffer_));
+    for (; *count < capacity && filled_ - next_ >= step; next_ += step) {
+      IioScan& scan = scans[(*count)++];
+      const auto place = [&](const iio_channel* c) {
+        return next_ + (static_cast<const char*>(iio_buffer_first(buffer_, c)) - start);
+      };
+      iio_channel_convert(time_, &scan.t_ns, place(time_));
+      for (std::size_t i = 0; i < 6; ++i) {
+        scan.raw[i] = channel_[i] == nullptr ? 0 : value(channel_[i], place(channel_[i]));
+      }
+    }
+    if (filled_ - next_ < step) next_ = filled_;
+    return *count > 0 ? Read::kScans : Read::kNothing;
+  }
+
+  rt::TimeNs now_ns() override { return rt::monotonic_now_ns(); }
+  void sleep_until(rt::TimeNs t_ns) override { rt::sleep_until_ns(t_ns); }
+
+ private:
+  rt::Error refuse(const std::string& message) {
+    close();
+    return rt::Error{message};
+  }
+
+  std::string listed() const {
+    std::string out;
+    for (unsigned i = 0; i < iio_context_get_devices_count(context_); ++i) {
+      const iio_device* const d = iio_context_get_device(context_, i);
+      const char* const name = iio_device_get_name(d);
+      if (!out.empty()) out.append(", ");
+      out.append(name != nullptr ? name : iio_device_get_id(d));
+    }
+    return out.empty() ? "there are none" : "there are " + out;
+  }
+
+  static rt::TimeNs realtime() {
+    timespec t{};
+    clock_gettime(CLOCK_REALTIME, &t);
+    return static_cast<rt::TimeNs>(t.tv_sec) * rt::kNsPerSecond + t.tv_nsec - rt::monotonic_now_ns();
+  }
+
+  /// Drivers have it at the device or at each channel; one that has it nowhere has one rate.
+  void set_rate(double rate_hz, IioDescription* out) {
+    if (rate_hz > 0 && iio_device_attr_write_double(device_, "sampling_frequency", rate_hz) != 0) {
+      for (iio_channel* const c : channel_) {
+        if (c != nullptr) iio_channel_attr_write_double(c, "sampling_frequency", rate_hz);
+      }
+    }
+    if (iio_device_attr_read_double(device_, "sampling_frequency", &out->rate_hz) == 0) return;
+    for (iio_channel* const c : channel_) {
+      if (c != nullptr && iio_channel_attr_read_double(c, "sampling_frequency", &out->rate_hz) == 0) return;
+    }
+    out->rate_hz = rate_hz;
+  }
+
+  static std::int32_t value(const iio_channel* channel, const char* place) {
+    const unsigned bytes = iio_channel_get_data_format(channel)->length / 8;
+    std::int8_t one = 0;
+    std::int16_t two = 0;
+    std::int32_t four = 0;
+    switch (bytes) {
+      case 1:
+        iio_channel_convert(channel, &one, place);
+        return one;
+      case 2:
+        iio_channel_convert(channel, &two, place);
+        return two;
+      default:
+        iio_channel_convert(channel, &four, place);
+        return four;
+    }
+  }
+
+  iio_context* context_ = nullptr;
+  iio_device* device_ = nullptr;
+  iio_buffer* buffer_ = nullptr;
+  iio_channel* time_ = nullptr;
+  std::array<iio_channel*, 6> channel_{};
+  const char *next_ = nullptr, *filled_ = nullptr;
+};
+
+}  // namespace
+
+std::unique_ptr<IioPort> libiio_port() {
+  return std::make_unique<LibiioPort>();
+}
+
+}  // namespace godwit::hal

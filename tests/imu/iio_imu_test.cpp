@@ -1,0 +1,184 @@
+#include "hal/imu/iio/iio_imu.h"
+
+#include <deque>
+#include <functional>
+#include <gtest/gtest.h>
+
+namespace godwit::hal {
+namespace {
+
+/// A driver: what it is, and the readings that wait in its buffer. Time goes when somebody waits.
+struct Driver {
+  rt::TimeNs* now;
+  IioDescription is{true, true, 0.001, 0.0001, 16, 16, 200, 0};
+  bool there = true, gone = false;
+  std::deque<IioScan> scans{};
+};
+
+class FakePort final : public IioPort {
+ public:
+  explicit FakePort(Driver* d) : d_(*d) {}
+  rt::Result<IioDescription> open(const std::string& device, double) override {
+    if (!d_.there) return rt::Error{"iio: no device " + device};
+    return d_.is;
+  }
+  void close() override { d_.scans.clear(); }
+  Read read(IioScan* scans, int capacity, rt::TimeNs timeout_ns, int* count) override {
+    *count = 0;
+    if (d_.gone) return Read::kGone;
+    if (d_.scans.empty()) *d_.now += timeout_ns;
+    for (; *count < capacity && !d_.scans.empty(); d_.scans.pop_front()) scans[(*count)++] = d_.scans.front();
+    return *count > 0 ? Read::kScans : Read::kNothing;
+  }
+  rt::TimeNs now_ns() override { return *d_.now; }
+  void sleep_until(rt::TimeNs t_ns) override { *d_.now = std::max(*d_.now, t_ns); }
+
+ private:
+  Driver& d_;
+};
+
+class IioImuTest : public ::testing::Test {
+ protected:
+  void open(bool two = false) {
+    settings_.device = "imu";
+    if (two) settings_.accel_device = "accel";
+    imu_ = IioImu::open(std::make_unique<FakePort>(&gyro_), two ? std::make_unique<FakePort>(&accel_) : nullptr,
+                        settings_);
+  }
+  /// The next reading, 5 ms later.
+  void measure(std::int32_t value, rt::TimeNs late_ns = 0) {
+    now_ += 5 * rt::kNsPerMs;
+    gyro_.scans.push_back({now_ - late_ns, {value, 2, 3, 4, 5, value}});
+  }
+  ImuStatus next() { return imu_->next(&s_, 10 * rt::kNsPerMs); }
+
+  rt::TimeNs now_ = 1000 * rt::kNsPerSecond;
+  Driver gyro_{&now_}, accel_{&now_};
+  IioSettings settings_;
+  std::unique_ptr<IioImu> imu_;
+  ImuSample s_;
+};
+
+TEST_F(IioImuTest, GivesSiUnitsGapsAndSaturation) {
+  settings_.axes = *parse_axis_map("x -y -z");
+  open();
+  measure(1000);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
+  EXPECT_DOUBLE_EQ(s_.accel_m_s2[0], 1.0);
+  EXPECT_DOUBLE_EQ(s_.accel_m_s2[1], -0.002);
+  EXPECT_DOUBLE_EQ(s_.gyro_rad_s[2], -0.1);
+  EXPECT_EQ(s_.flags, 0);
+  now_ += 5 * rt::kNsPerMs;  // one is missing
+  measure(32767);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.flags, kImuGap | kImuAccelSaturated | kImuGyroSaturated);
+  EXPECT_EQ(imu_->counters().gaps, 1u);
+}
+
+TEST_F(IioImuTest, SamplesOutOfOrderAreLeftOutAndTimesOfAnotherClockTold) {
+  open();
+  measure(1);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  measure(2, 7 * rt::kNsPerMs);
+  measure(3);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_DOUBLE_EQ(s_.accel_m_s2[0], 0.003);
+  EXPECT_EQ(imu_->counters().out_of_order, 1u);
+  measure(4, -1'700'000'000LL * rt::kNsPerSecond);  // CLOCK_REALTIME
+  EXPECT_EQ(next(), ImuStatus::kFault);
+  rt::LogEntry e;
+  ASSERT_TRUE(imu_->events()->take(&e));
+  EXPECT_STREQ(e.what, "IMU clock is not CLOCK_MONOTONIC");
+}
+
+TEST_F(IioImuTest, AClockThatCannotBeSetIsConverted) {
+  gyro_.is.clock_offset_ns = -1'700'000'000LL * rt::kNsPerSecond;
+  open();
+  measure(4, -1'700'000'000LL * rt::kNsPerSecond);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
+}
+
+TEST_F(IioImuTest, DevicesThatLieOrGoAreToldAndTakenBack) {
+  open();
+  const auto fails = [&](const std::string& words) {
+    EXPECT_EQ(imu_->trouble(), words);
+    rt::LogEntry e;
+    ASSERT_TRUE(imu_->events()->take(&e));
+    EXPECT_STREQ(e.what, "IMU fails");
+    const rt::TimeNs began = now_;
+    while (!imu_->trouble().empty()) {
+      next();
+      ASSERT_LT(now_, began + rt::kNsPerSecond);
+    }
+    measure(77);
+    ASSERT_EQ(next(), ImuStatus::kSample);
+    EXPECT_EQ(s_.flags & kImuGap, kImuGap);
+    ASSERT_TRUE(imu_->events()->take(&e));
+    EXPECT_STREQ(e.what, "IMU is back");
+  };
+  for (int i = 0; i < 19; ++i) {
+    measure(5);
+    ASSERT_EQ(next(), ImuStatus::kSample);
+  }
+  measure(5);
+  ASSERT_EQ(next(), ImuStatus::kFault);
+  fails("the readings are stuck");
+  for (int i = 0; i < 3; ++i) {
+    now_ += 5 * rt::kNsPerMs;
+    gyro_.scans.push_back({now_, {}});
+  }
+  while (next() == ImuStatus::kSample) {
+  }
+  fails("all readings are zero: the sensor sleeps, or nothing is wired");
+  gyro_.gone = true;
+  EXPECT_EQ(next(), ImuStatus::kFault);
+  gyro_.gone = false;
+  fails("the device is gone");
+  while (next() == ImuStatus::kTimeout) {
+  }
+  fails("it is there, but takes no samples");
+}
+
+TEST_F(IioImuTest, ADeviceThatIsNotThereOrMeasuresSomethingElseIsToldInWords) {
+  gyro_.there = false;
+  open();
+  EXPECT_EQ(imu_->trouble(), "iio: no device imu");
+  gyro_.there = true;
+  for (int i = 0; i < 100 && !imu_->trouble().empty(); ++i) next();
+  EXPECT_EQ(imu_->trouble(), "");
+  gyro_.is.has_accel = false;
+  open();
+  EXPECT_NE(imu_->trouble().find("imu.accel_device names"), std::string::npos);
+  gyro_.is.has_gyro = false;
+  open();
+  EXPECT_EQ(imu_->trouble(), "iio: imu measures no rates");
+}
+
+TEST_F(IioImuTest, AccelerationOfASecondDeviceIsInterpolatedToTheRates) {
+  gyro_.is.has_accel = false;
+  accel_.is.has_gyro = false;
+  open(true);
+  const rt::TimeNs t0 = now_;
+  now_ += 100 * rt::kNsPerMs;
+  for (int i = 0; i < 8; ++i) {
+    accel_.scans.push_back({t0 + i * 10 * rt::kNsPerMs, {100 * i, 0, 0, 0, 0, 0}});
+    gyro_.scans.push_back({t0 + 2 * rt::kNsPerMs + i * 5 * rt::kNsPerMs, {0, 0, 0, i, 0, 0}});
+  }
+  for (int i = 0; i < 8; ++i) {
+    ASSERT_EQ(next(), ImuStatus::kSample);
+    EXPECT_EQ(s_.t_ns, t0 + 2 * rt::kNsPerMs + i * 5 * rt::kNsPerMs);
+    EXPECT_NEAR(s_.accel_m_s2[0], 0.001 * (20 + 50 * i), 1e-12);
+  }
+  // A rate whose later acceleration has not come waits for it.
+  gyro_.scans.push_back({t0 + 95 * rt::kNsPerMs, {0, 0, 0, 9, 0, 0}});
+  EXPECT_EQ(next(), ImuStatus::kTimeout);
+  accel_.scans.push_back({t0 + 110 * rt::kNsPerMs, {1100, 0, 0, 0, 0, 0}});
+  now_ += 20 * rt::kNsPerMs;
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, t0 + 95 * rt::kNsPerMs);
+}
+
+}  // namespace
+}  // namespace godwit::hal
