@@ -62,6 +62,15 @@ float residual_limit(bool seed) {
   return seed ? kMaxResidualSeed : kMaxResidual;
 }
 
+// Direction across the source's edge as the other view sees it. An edge's direction is carried by A; its normal by the
+// inverse transposed, or it would not stay normal where A shears or stretches.
+Vec2f warped_normal(const Eigen::Matrix2f& A, const Vec2f& normal) {
+  Eigen::Matrix2f cofactors;  // of A: its inverse transposed, times its determinant
+  cofactors << A(1, 1), -A(1, 0), -A(0, 1), A(0, 0);
+  const Vec2f n = cofactors * normal;
+  return (A.determinant() < 0.0f ? Vec2f(-n) : n).normalized();
+}
+
 MatchResult align_match(const rt::PyramidView& cur, const ReferencePatch& patch, const PatchSource& source,
                         const Eigen::Matrix2f& A, int level, const Vec2f& px_guess, bool seed) {
   MatchResult m;
@@ -69,7 +78,7 @@ MatchResult align_match(const rt::PyramidView& cur, const ReferencePatch& patch,
   Vec2f px = to_level(px_guess, level);
   FeatureAlignResult r;
   if (source.feature->type == FeatureType::kEdgelet) {
-    m.gradient = (A * source.feature->gradient).normalized();
+    m.gradient = warped_normal(A, source.feature->gradient);
     r = align_1d(cur.level[level], patch, m.gradient, kAlignIterations, kMaxShiftPx, &px);
   } else {
     r = align_2d(cur.level[level], patch, kAlignIterations, kMaxShiftPx, &px);
@@ -177,7 +186,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
   // An edge along the epipolar line says nothing about depth.
   if (source.feature->type == FeatureType::kEdgelet && length > 1.0) {
     const Vec2f direction = (a - b).cast<float>().normalized();
-    if (std::abs((A * source.feature->gradient).normalized().dot(direction)) < 0.7f) return result;
+    if (std::abs(warped_normal(A, source.feature->gradient).dot(direction)) < 0.7f) return result;
   }
   ReferencePatch patch;
   if (!warp_patch(source, A, level, &patch)) return result;

@@ -10,6 +10,7 @@ namespace {
 constexpr int kHalf = 2;                 // 4x4 patch: pixels -2..+1 around the point
 constexpr float kIntensityUnit = 64.0f;  // keeps gain and motion columns of the normal equations of one magnitude
 constexpr float kIntensityCentre = 128.0f;
+constexpr float kMinGain = 0.2f;  // as in feature_align: a picture darker than that shows no patch
 }  // namespace
 
 void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
@@ -155,14 +156,18 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       result.patches = used;
       result.rms = std::sqrt(cost);
       if (used < 6) break;
+      // The picture's gradients are the reference's times the gain: with the columns of the motion left as they are, what
+      // is solved for is the motion times the gain.
+      const float g = std::max(gain, kMinGain);
       // Gain and offset are weakly held to what they were, so that a flat picture cannot send them anywhere.
       H(6, 6) += 1.0f;
       H(7, 7) += 1.0f;
       if (prior_weight > 0.0f) {
-        H.block<3, 3>(3, 3) += prior_weight * Eigen::Matrix3f::Identity();
-        b.segment<3>(3) -= prior_weight * e;
+        H.block<3, 3>(3, 3) += prior_weight / (g * g) * Eigen::Matrix3f::Identity();
+        b.segment<3>(3) -= prior_weight / g * e;
       }
-      const VecP x = H.ldlt().solve(b);
+      VecP x = H.ldlt().solve(b);
+      x.head<6>() /= g;
       if (!x.allFinite()) break;
       T_old = T;
       gain_old = gain;

@@ -78,6 +78,27 @@ TEST(Matcher, WarpMatrixIsTheDerivativeOfTheWarp) {
   EXPECT_LT((A.cast<double>() - N).norm(), 5e-3);
 }
 
+TEST(Matcher, AnEdgesNormalStaysNormalToItInTheOtherView) {
+  const Views v;
+  KeyframeFeature f = v.feature(150, 110);
+  f.type = FeatureType::kEdgelet;
+  const double d = v.distance(f);
+  // Rolled, and so much from the side that A shears.
+  const SE3 T = SE3::exp((Vec6() << -1.6, 0.1, 0.3, 0.0, 0.5, 0.3).finished());
+  Vec2 seen;
+  ASSERT_TRUE(v.camera.project(T * (f.bearing * d), &seen));
+  Eigen::Matrix2f A;
+  ASSERT_TRUE(warp_matrix(v.camera, {&v.ref, &f, d}, T, &A));
+  for (double angle = 0.0; angle < 3.0; angle += 0.3) {
+    f.gradient = Vec2f(static_cast<float>(std::cos(angle)), static_cast<float>(std::sin(angle)));
+    const MatchResult m = match_direct(v.camera, {&v.ref, &f, d}, T, v.cur, seen.cast<float>(), 3);
+    const Vec2f along = (A * Vec2f(-f.gradient.y(), f.gradient.x())).normalized();
+    EXPECT_NEAR(m.gradient.dot(along), 0.0f, 1e-3f) << angle;
+    // And from dark to bright as before.
+    EXPECT_GT(m.gradient.dot(A * f.gradient), 0.0f) << angle;
+  }
+}
+
 TEST(Matcher, SearchLevelFollowsTheScale) {
   EXPECT_EQ(search_level(Eigen::Matrix2f::Identity(), 0, 3), 0);
   EXPECT_EQ(search_level(Eigen::Matrix2f::Identity(), 2, 3), 2);

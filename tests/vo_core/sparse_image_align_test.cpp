@@ -65,6 +65,32 @@ TEST(SparseImageAlign, ADarkerExposureChangesNothing) {
   EXPECT_NEAR(r.gain, 0.7f, 0.06f);
 }
 
+// A step is as long as the picture's gradients say, not the reference's: whatever the exposure, so many steps lead as
+// near.
+TEST(SparseImageAlign, FewStepsDoAtAnyGain) {
+  Fixture f;
+  SparseAlignOptions options = f.options();
+  options.max_iterations = 4;
+  for (const double gain : {0.4, 0.7, 1.0}) {
+    const View ref(f.scene.render(f.camera, f.T_ref)), cur(f.scene.render(f.camera, f.T_cur, gain, 20.0));
+    SparseImageAlign align(f.camera, options);
+    const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, f.points, SE3(), {});
+    const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
+    EXPECT_LT(e.head<3>().norm(), 0.006) << gain;
+    EXPECT_LT(e.tail<3>().norm(), 0.003) << gain;
+    // And back: from the dim picture to the bright one.
+    std::vector<AlignPoint> points;
+    for (const AlignPoint& p : f.points) {
+      Vec2 px;
+      if (f.camera.project(f.T_cur * p.p_ref, &px)) points.push_back({px.cast<float>(), f.T_cur * p.p_ref});
+    }
+    const SparseAlignResult back = align.run(cur.pyramid, ref.pyramid, points, SE3(), {});
+    const Vec6 off = (back.T_cur_ref * f.T_cur).log();
+    EXPECT_LT(off.head<3>().norm(), 0.006) << gain;
+    EXPECT_LT(off.tail<3>().norm(), 0.003) << gain;
+  }
+}
+
 TEST(SparseImageAlign, ARotationPriorHoldsTheRotation) {
   Fixture f;
   const View ref(f.scene.render(f.camera, f.T_ref));
