@@ -29,6 +29,7 @@
 #include "hal/camera/replay/replay_camera.h"
 #include "vo_core/landmark_finder.h"
 #include "vo_core/mapper.h"
+#include "vo_core/match_noise.h"
 #include "vo_core/pyramid.h"
 #include "vo_core/tracker.h"
 
@@ -65,7 +66,7 @@ class GateReplay {
       m.px = f.px_global.cast<double>();
       m.gradient = f.gradient.cast<double>();
       m.p_world = point->p_world;
-      m.sigma_px = static_cast<double>(1 << f.level);
+      m.sigma_px = vo::match_sigma_px(f.level);
       m.type = f.type;
       // One part of the picture moves: there is something to sort out.
       m.inlier = (f.px - tracker.features()[0].px).norm() > 60.F;

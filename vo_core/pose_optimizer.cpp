@@ -11,12 +11,20 @@ namespace godwit::vo {
 namespace {
 // Tukey's biweight with the usual constant for 95 % efficiency at the normal distribution.
 constexpr double kTukey = 4.6851;
+constexpr double kFirstScale = 10.0, kMinScale = 0.5;
+constexpr int kRoughSteps = 3;  // with the spread that the first pose leaves; from then on with that of the last
 double tukey_weight(double x) {
   const double u = x / kTukey;
   const double v = 1.0 - u * u;
   return v > 0.0 ? v * v : 0.0;
 }
 }  // namespace
+
+double chi_square_limit(int freedom) {
+  constexpr double kNormal999 = 3.0902;
+  const double n = std::max(freedom, 1), v = 2.0 / (9.0 * n), root = 1.0 - v + kNormal999 * std::sqrt(v);
+  return n * root * root * root;
+}
 
 bool pose_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, Vec2* residual,
                    Mat26* J) {
@@ -49,20 +57,23 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   std::array<float, kMaxFrameFeatures> errors;
   SE3 T = *T_cam_world;
   double scale = 1.0;
-  const auto measure_scale = [&] {
+  const auto measure_scale = [&](double most) {
     int count = 0;
     for (int i = 0; i < n; ++i) {
       Vec2 r;
-      if (pose_residual(camera, T, measurements[i], &r, nullptr))
-        errors[count++] = static_cast<float>(r.norm() / measurements[i].sigma_px);
+      const PoseMeasurement& m = measurements[i];
+      if (!pose_residual(camera, T, m, &r, nullptr)) continue;
+      // Median of a normal error's size: of two coordinates 1.1774 sigma, of an edgelet's one 0.6745.
+      const double median = m.type == FeatureType::kEdgelet ? 0.6745 : 1.1774;
+      errors[count++] = static_cast<float>(r.norm() / (m.sigma_px * median));
     }
     if (count < 10) return false;
     std::nth_element(errors.begin(), errors.begin() + count / 2, errors.begin() + count);
-    // Median of a two-dimensional normal error's norm is 1.1774 sigma.
-    scale = std::clamp(static_cast<double>(errors[count / 2]) / 1.1774, 0.1, 10.0);
+    result.sigma_scale = static_cast<double>(errors[count / 2]);
+    scale = std::clamp(result.sigma_scale, kMinScale, most);
     return true;
   };
-  if (!measure_scale()) return result;
+  if (!measure_scale(kFirstScale)) return result;
   Mat6 H = Mat6::Zero();
   for (int it = 0; it < options.max_iterations; ++it) {
     H.setZero();
@@ -82,12 +93,12 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
     const Vec6 dx = ldlt.solve(b);
     if (!dx.allFinite()) return result;
     T = SE3::exp(dx) * T;
-    if (it == 2 && !measure_scale()) return result;
-    if (it > 2 && dx.cwiseAbs().maxCoeff() < 1e-7) break;
+    if (it == kRoughSteps - 1 && !measure_scale(options.max_scale)) return result;
+    if (it >= kRoughSteps && dx.cwiseAbs().maxCoeff() < 1e-7) break;
   }
   // Final classification and information at the solution, inliers only.
   H.setZero();
-  double sum_sq = 0.0, sum_w = 0.0;
+  double sum_px = 0.0;
   for (int i = 0; i < n; ++i) {
     PoseMeasurement& m = measurements[i];
     Vec2 r;
@@ -95,20 +106,22 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
     m.inlier = false;
     if (!pose_residual(camera, T, m, &r, &J)) continue;
     const double e = r.norm() / m.sigma_px;
-    if (e > options.outlier_sigma * std::max(scale, 0.35)) continue;
+    if (e > options.outlier_sigma) continue;
     m.inlier = true;
     ++result.inliers;
     const double w = 1.0 / (m.sigma_px * m.sigma_px);
     H.noalias() += w * (J.transpose() * J);
-    sum_sq += e * e;
-    sum_w += w * m.sigma_px * m.sigma_px;
+    result.chi_square += e * e;
+    result.freedom += m.type == FeatureType::kEdgelet ? 1 : 2;
+    sum_px += r.squaredNorm();
   }
   if (result.inliers < 10) return result;
   Eigen::LDLT<Mat6> ldlt(H);
   if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return result;
-  result.sigma_scale = scale;
-  result.rms_px = std::sqrt(sum_sq / sum_w);
-  result.covariance = ldlt.solve(Mat6::Identity()) * (scale * scale);
+  result.freedom -= 6;
+  result.rms_px = std::sqrt(sum_px / result.inliers);
+  const double wider = std::max(1.0, result.chi_square / result.freedom);
+  result.covariance = ldlt.solve(Mat6::Identity()) * wider;
   if (!result.covariance.allFinite()) return result;
   T.normalize();
   *T_cam_world = T;

@@ -14,24 +14,34 @@ struct PoseMeasurement {
   Vec2 px = Vec2::Zero();  ///< measured, level-0 px
   Vec3 p_world = Vec3::Zero();
   Vec2 gradient = Vec2::UnitX();  ///< edgelets: unit direction in which the measurement counts
-  double sigma_px = 1.0;
+  double sigma_px = 1.0;  ///< of each coordinate
   FeatureType type = FeatureType::kCorner;
   bool inlier = true;  ///< result
 };
 
 struct PoseOptimizerOptions {
   int max_iterations = 8;
-  double outlier_sigma = 3.0;  ///< a measurement further off than this many sigmas is an outlier in the end
+  double outlier_sigma = 3.0;  ///< a measurement further off than this many stated sigmas is an outlier in the end
+  /// Most by which the residuals' own spread may widen the weights in the end. On the way there it may be any: the pose
+  /// to begin with is off.
+  double max_scale = 1.5;
 };
 
 struct PoseOptimizerResult {
   int inliers = 0;
   int measurements = 0;
-  double rms_px = 0.0;                 ///< of the inliers, weighted
-  double sigma_scale = 1.0;            ///< robust estimate of the noise in units of the stated sigmas
-  Mat6 covariance = Mat6::Identity();  ///< of the left twist (v, w) of T_cam_world, scaled by the measured noise
+  double rms_px = 0.0;       ///< of the inliers [px]
+  double sigma_scale = 1.0;  ///< robust estimate of the noise in units of the stated sigmas
+  double chi_square = 0.0;   ///< of the inliers against their stated sigmas
+  int freedom = 0;           ///< its degrees of freedom: coordinates measured less six
+  /// Of the left twist (v, w) of T_cam_world: as the stated sigmas have it, and larger where the residuals are.
+  Mat6 covariance = Mat6::Identity();
   bool ok = false;
 };
+
+/// The value that chi-square of so many degrees of freedom stays below in 999 of 1,000 cases (Wilson and Hilferty, PNAS
+/// 1931; good to a per cent from three degrees on).
+double chi_square_limit(int freedom);
 
 /// Refines T_cam_world in place; marks outliers. ok = false (pose untouched) when fewer than 10 inliers remain or the
 /// normal equations are singular. No allocation.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "vo_core/match_noise.h"
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
@@ -131,7 +132,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_
     m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
-    m.sigma_px = static_cast<double>(1 << found[i].level) * (found[i].shaded ? options_.shaded_sigma : 1.0);
+    m.sigma_px = match_sigma_px(found[i].level) * (found[i].shaded ? options_.shaded_sigma : 1.0);
   }
   match_count_ = r.matches;
   PoseOptimizerResult p =
@@ -153,8 +154,10 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_
   result->rms_px = p.rms_px;
   result->covariance = p.covariance;
   refusal_ = {};
+  result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   if (result->measurements < min_measurements) return false;
-  return enough_found(options_.min_found_share, *result);
+  return enough_found(options_.min_found_share, *result) && enough_agree(options_.min_inlier_share, *result) &&
+         as_noisy_as_stated(*result);
 }
 
 bool Tracker::enough_found(double share, const FrameResult& r) {
@@ -163,21 +166,25 @@ bool Tracker::enough_found(double share, const FrameResult& r) {
   return false;
 }
 
+bool Tracker::enough_agree(double share, const FrameResult& r) {
+  if (r.measurements >= share * r.matches) return true;
+  refusal_ = {"too many outliers, inliers are [%]", 100 * r.measurements / r.matches, static_cast<int>(100.0 * share)};
+  return false;
+}
+
+bool Tracker::as_noisy_as_stated(const FrameResult& r) {
+  if (r.misfit <= options_.noise_allowance) return true;
+  refusal_ = {"the measurements disagree, chi-square over its limit is [%]", static_cast<int>(100.0 * r.misfit),
+              static_cast<int>(100.0 * options_.noise_allowance)};
+  return false;
+}
+
 bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
   if (r.measurements < gate.measurements) {
     refusal_ = {"too few features to be sure", r.measurements, gate.measurements};
     return false;
   }
-  if (r.measurements < gate.inlier_share * r.matches) {
-    refusal_ = {"too many outliers, inliers are [%]", 100 * r.measurements / r.matches,
-                static_cast<int>(100.0 * gate.inlier_share)};
-    return false;
-  }
-  if (!enough_found(gate.found_share, r)) return false;
-  if (r.rms_px <= gate.rms_px) return true;
-  refusal_ = {"the measurements disagree [0.1 px]", static_cast<int>(10.0 * r.rms_px),
-              static_cast<int>(10.0 * gate.rms_px)};
-  return false;
+  return enough_agree(gate.inlier_share, r) && enough_found(gate.found_share, r);
 }
 
 bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {

@@ -55,7 +55,8 @@ struct FrameResult {
   SE3 T_world_cam;                 ///< valid when tracked
   Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world, map units and rad
   double median_depth = 0.0;
-  double rms_px = 0.0;
+  double rms_px = 0.0;            ///< of the inliers
+  double misfit = 0.0;            ///< their chi-square over its limit (TrackerOptions::noise_allowance left out)
   bool map_moved = false;         ///< a delta with moved poses was applied before this frame
   Vec3 moved_by = Vec3::Zero();   ///< by it the last frame's camera moved in the world [map units]
   Vec3 turned_by = Vec3::Zero();  ///< and turned: rotation vector along world axes [rad]
@@ -80,6 +81,12 @@ struct TrackerOptions {
   /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
   /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
   double min_found_share = 0.10;
+  /// Share of the matches that must agree with the pose. Offsets by chance, anywhere within the 4 px that an alignment
+  /// may move, agree with the best pose for them in a quarter of the cases (pose_optimizer_test).
+  double min_inlier_share = 0.35;
+  /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance is
+  /// so many times the stated one: motion blur and what else the noise model leaves out.
+  double noise_allowance = 1.5;
   double shaded_sigma = 1.5;  ///< noise of a measurement inside the mask, of that of one outside
   /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose must be
   /// promising, and a following frame tracked from it convincing, before it counts.
@@ -89,15 +96,14 @@ struct TrackerOptions {
     int measurements;
     double inlier_share;  ///< of the matches
     double found_share;   ///< of the alignments tried
-    double rms_px;
   };
-  Gate promising{30, 0.5, 0.15, 2.2};  ///< the shutter's velocity is not known yet
-  Gate convincing{40, 0.6, 0.30, 1.5};
+  Gate promising{30, 0.5, 0.15};
+  Gate convincing{40, 0.6, 0.30};
   /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
   /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
   /// from, and to map with, for a while.
   double crowded = kCrowdedShare;
-  Gate few_but_sure{18, 0.8, 0.5, 1.2};
+  Gate few_but_sure{18, 0.8, 0.5};
   int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
   int weak_beside = 12;  ///< of the measurements outside the mask
   int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
@@ -153,9 +159,11 @@ class Tracker {
   bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
   // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
   bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
-  // These two say in refusal_ what they refuse for.
+  // These say in refusal_ what they refuse for.
   bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
   bool enough_found(double share, const FrameResult& r);
+  bool enough_agree(double share, const FrameResult& r);
+  bool as_noisy_as_stated(const FrameResult& r);
   bool few_but_sure(const Frame& frame, const FrameResult& r);
   int least_measurements(const Frame& frame) const {
     return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;

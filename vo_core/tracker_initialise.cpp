@@ -1,6 +1,7 @@
 // The tracker without a map: from the first view to the first two keyframes.
 #include <algorithm>
 
+#include "vo_core/match_noise.h"
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
@@ -126,7 +127,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     m = {};
     m.px = features_[i].px_global.cast<double>();
     m.p_world = map_->point(features_[i].point.index).p_world;
-    m.sigma_px = static_cast<double>(1 << features_[i].level);
+    m.sigma_px = match_sigma_px(features_[i].level);
   }
   SE3 refined = current.T_cam_world;
   const PoseOptimizerResult fit = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), n), &refined);

@@ -1,5 +1,6 @@
 #include "vo_core/pose_optimizer.h"
 
+#include <cmath>
 #include <gtest/gtest.h>
 #include <random>
 #include <vector>
@@ -57,6 +58,7 @@ TEST(PoseOptimizer, FindsThePoseAmongOutliers) {
   const CameraModel camera = test::tum_fr1();
   const SE3 truth = some_pose();
   std::vector<PoseMeasurement> m = measure(camera, truth, 120, 0.3, 2);
+  for (PoseMeasurement& x : m) x.sigma_px = 0.3;
   for (int i = 0; i < 36; ++i) m[static_cast<std::size_t>(i)].px += Vec2(15 + i, -20);
   SE3 T = SE3::exp((Vec6() << 0.02, -0.01, 0.02, 0.01, 0.005, -0.01).finished()) * truth;
   const PoseOptimizerResult r = optimize_pose(camera, {}, m, &T);
@@ -67,22 +69,77 @@ TEST(PoseOptimizer, FindsThePoseAmongOutliers) {
   EXPECT_LT((T * truth.inverse()).log().tail<3>().norm(), 0.002);
 }
 
-TEST(PoseOptimizer, CovarianceIsWhatTheErrorsAre) {
+/// Normalised estimation error squared over many draws, 6 where the covariance is true, and the mean of sigma_scale.
+Vec2 mean_nees_and_scale(double noise_px, int edgelets_of_ten) {
   const CameraModel camera = test::euroc();
   const SE3 truth = some_pose();
-  double sum = 0.0;
+  Vec2 sum = Vec2::Zero();
   const int runs = 200;
   for (int i = 0; i < runs; ++i) {
-    std::vector<PoseMeasurement> m = measure(camera, truth, 80, 0.5, static_cast<unsigned>(100 + i));
+    std::vector<PoseMeasurement> m = measure(camera, truth, 120, noise_px, static_cast<unsigned>(100 + i));
+    for (std::size_t k = 0; k < m.size(); ++k) {
+      m[k].sigma_px = noise_px;
+      const double angle = 0.7 * static_cast<double>(k);
+      m[k].gradient = Vec2(std::cos(angle), std::sin(angle));
+      if (static_cast<int>(k % 10) < edgelets_of_ten) m[k].type = FeatureType::kEdgelet;
+    }
     SE3 T = truth;
     const PoseOptimizerResult r = optimize_pose(camera, {}, m, &T);
-    ASSERT_TRUE(r.ok);
+    EXPECT_TRUE(r.ok);
+    EXPECT_LT(r.chi_square, chi_square_limit(r.freedom));
     const Vec6 e = (T * truth.inverse()).log();
-    sum += e.dot(r.covariance.inverse() * e);
+    sum += Vec2(e.dot(r.covariance.inverse() * e), r.sigma_scale);
   }
-  // Normalised estimation error squared: 6 on average. The robust weights cost a few per cent of efficiency.
-  EXPECT_GT(sum / runs, 4.5);
-  EXPECT_LT(sum / runs, 9.0);
+  return sum / runs;
+}
+
+TEST(PoseOptimizer, CovarianceIsWhatTheErrorsAre) {
+  // The robust weights cost a few per cent of efficiency.
+  const Vec2 corners = mean_nees_and_scale(0.5, 0), edgelets = mean_nees_and_scale(0.5, 10),
+             both = mean_nees_and_scale(0.5, 6);
+  for (const Vec2& mean : {corners, edgelets, both}) {
+    EXPECT_GT(mean.x(), 4.5);
+    EXPECT_LT(mean.x(), 9.0);
+    // An edgelet has one coordinate, a corner two: each by the median of its own.
+    EXPECT_NEAR(mean.y(), 1.0, 0.1);
+  }
+}
+
+TEST(PoseOptimizer, ChiSquareLimitIsThatOfTheTables) {
+  EXPECT_NEAR(chi_square_limit(10), 29.588, 0.3);
+  EXPECT_NEAR(chi_square_limit(100), 149.449, 0.1);
+  EXPECT_NEAR(chi_square_limit(300), 381.425, 0.2);
+}
+
+TEST(PoseOptimizer, NoiseTwiceTheStatedIsSeen) {
+  const CameraModel camera = test::euroc();
+  std::vector<PoseMeasurement> m = measure(camera, some_pose(), 150, 0.8, 5);
+  for (PoseMeasurement& x : m) x.sigma_px = 0.4;
+  SE3 T = some_pose();
+  const PoseOptimizerResult r = optimize_pose(camera, {}, m, &T);
+  ASSERT_TRUE(r.ok);
+  EXPECT_GT(r.chi_square, chi_square_limit(r.freedom));
+  EXPECT_NEAR(r.sigma_scale, 2.0, 0.3);
+}
+
+// What an alignment gives that finds nothing: offsets anywhere within the 4 px that it may move.
+TEST(PoseOptimizer, OffsetsByChanceDoNotAgreeWithAnyPose) {
+  const CameraModel camera = test::euroc();
+  for (unsigned seed = 0; seed < 10; ++seed) {
+    std::vector<PoseMeasurement> m = measure(camera, some_pose(), 150, 0.0, 20 + seed);
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> u(-4.0, 4.0);
+    for (PoseMeasurement& x : m) {
+      x.sigma_px = 0.45;
+      Vec2 off;
+      do off = Vec2(u(random), u(random));
+      while (off.norm() > 4.0);
+      x.px += off;
+    }
+    SE3 T = some_pose();
+    const PoseOptimizerResult r = optimize_pose(camera, {}, m, &T);
+    EXPECT_LT(r.inliers, 150 * 3 / 10) << seed;
+  }
 }
 
 TEST(PoseOptimizer, RefusesTooFewMeasurementsAndLeavesThePose) {
