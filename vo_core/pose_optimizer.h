@@ -14,7 +14,7 @@ struct PoseMeasurement {
   Vec2 px = Vec2::Zero();  ///< measured, level-0 px
   Vec3 p_world = Vec3::Zero();
   Vec2 gradient = Vec2::UnitX();  ///< edgelets: unit direction in which the measurement counts
-  double sigma_px = 1.0;  ///< of each coordinate
+  double sigma_px = 1.0;          ///< of each coordinate
   FeatureType type = FeatureType::kCorner;
   bool inlier = true;  ///< result
 };

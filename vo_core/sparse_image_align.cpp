@@ -156,8 +156,8 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       result.patches = used;
       result.rms = std::sqrt(cost);
       if (used < 6) break;
-      // The picture's gradients are the reference's times the gain: with the columns of the motion left as they are, what
-      // is solved for is the motion times the gain.
+      // The picture's gradients are the reference's times the gain: with the columns of the motion left as they are,
+      // what is solved for is the motion times the gain.
       const float g = std::max(gain, kMinGain);
       // Gain and offset are weakly held to what they were, so that a flat picture cannot send them anywhere.
       H(6, 6) += 1.0f;

@@ -84,8 +84,8 @@ struct TrackerOptions {
   /// Share of the matches that must agree with the pose. Offsets by chance, anywhere within the 4 px that an alignment
   /// may move, agree with the best pose for them in a quarter of the cases (pose_optimizer_test).
   double min_inlier_share = 0.35;
-  /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance is
-  /// so many times the stated one: motion blur and what else the noise model leaves out.
+  /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance
+  /// is so many times the stated one: motion blur and what else the noise model leaves out.
   double noise_allowance = 1.5;
   double shaded_sigma = 1.5;  ///< noise of a measurement inside the mask, of that of one outside
   /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose must be
