@@ -17,10 +17,12 @@ MachineMonitor::MachineMonitor(const std::string& sys) {
   std::error_code missing;
   for (const auto& entry : fs::directory_iterator(sys + "/class/thermal", missing)) {
     const std::string name = entry.path().filename();
-    if (starts_with(name, "thermal_zone")) temperatures_.push_back(entry.path() / "temp");
-    if (!starts_with(name, "cooling_device")) continue;
     std::string type;
     std::ifstream(entry.path() / "type") >> type;
+    // Jetson's zone of the power chip has no sensor behind it and always says 100 degrees.
+    if (starts_with(name, "thermal_zone") && !starts_with(type, "PMIC-Die"))
+      temperatures_.push_back(entry.path() / "temp");
+    if (!starts_with(name, "cooling_device")) continue;
     // x86: "Processor"; device trees: "cpufreq-cpu0", "thermal-cpufreq-0", "cpu-balanced" (Jetson). Fans do not slow.
     std::transform(type.begin(), type.end(), type.begin(), [](unsigned char c) { return std::tolower(c); });
     if (starts_with(type, "processor") || starts_with(type, "cpu") || starts_with(type, "thermal-cpu"))

@@ -23,6 +23,15 @@ TEST(MachineMonitor, TheHottestZoneCounts) {
   EXPECT_DOUBLE_EQ(monitor.read().temperature_c, 90) << "read anew each time";
 }
 
+TEST(MachineMonitor, AZoneWithoutASensorDoesNotCount) {
+  const TempFolder sys;
+  write_file(sys / "class/thermal/thermal_zone0/type", "CPU-therm\n");
+  write_file(sys / "class/thermal/thermal_zone0/temp", "45500\n");
+  write_file(sys / "class/thermal/thermal_zone1/type", "PMIC-Die\n");  // Jetson
+  write_file(sys / "class/thermal/thermal_zone1/temp", "100000\n");
+  EXPECT_DOUBLE_EQ(MachineMonitor(sys.path()).read().temperature_c, 45.5);
+}
+
 TEST(MachineMonitor, ProcessorsSlowedDownAreThrottlingAFanIsNot) {
   const TempFolder sys;
   write_file(sys / "class/thermal/cooling_device0/type", "pwm-fan\n");
