@@ -44,6 +44,12 @@ bool has_target(cv::dnn::Target wanted) {
   return false;
 }
 
+void use_cpu(cv::dnn::Net* net, DetectorOptions* options) {
+  options->backend = Backend::kCpu;
+  net->setPreferableBackend(cv::dnn::DNN_BACKEND_OPENCV);
+  net->setPreferableTarget(cv::dnn::DNN_TARGET_CPU);
+}
+
 void choose_backend(cv::dnn::Net* net, DetectorOptions* options, std::string* warning) {
   if (options->backend != Backend::kCpu) {
     const bool half = options->backend == Backend::kCudaFp16;
@@ -55,10 +61,8 @@ void choose_backend(cv::dnn::Net* net, DetectorOptions* options, std::string* wa
     }
     *warning = std::string("detector: backend ") + (half ? "cuda_fp16" : "cuda") +
                " is not available (this OpenCV or this machine has no CUDA); using the CPU";
-    options->backend = Backend::kCpu;
   }
-  net->setPreferableBackend(cv::dnn::DNN_BACKEND_OPENCV);
-  net->setPreferableTarget(cv::dnn::DNN_TARGET_CPU);
+  use_cpu(net, options);
 }
 
 std::string shape_of(const cv::Mat& m) {
@@ -194,7 +198,13 @@ rt::Result<Detector> Detector::open(const std::string& model_path, const ModelIn
   } catch (const cv::Exception& e) {
     return rt::Error{model_path + ": not a network that OpenCV can read (truncated, or not ONNX): " + e.err};
   }
-  const auto warm = state->run();
+  auto warm = state->run();
+  if (!warm.ok() && state->options.backend != Backend::kCpu) {
+    // Compiled in and present, and yet it cannot: a driver too old, a layer that it lacks, no memory left.
+    state->warning = "detector: CUDA was found but does not run this network (" + warm.error().message + "); using the CPU";
+    use_cpu(&state->net, &state->options);
+    warm = state->run();
+  }
   if (!warm.ok()) return warm.error();
   return Detector(std::move(state));
 }
