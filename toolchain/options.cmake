@@ -14,9 +14,10 @@ endif()
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
   add_compile_options(-march=x86-64-v3)
 elseif(CMAKE_SYSTEM_PROCESSOR MATCHES "aarch64")
-  # Highway's NEON functions are compiled for the cryptographic extension, which Jetson's cores have; without it here the
-  # compiler could not inline them.
-  add_compile_options(-march=armv8.2-a+crypto)
+  # Highway's NEON functions are compiled for the cryptographic extension; without it here the compiler could not inline
+  # them. None of its instructions is used, so that the generic build runs on cores without it, too.
+  set(GODWIT_MARCH armv8-a CACHE STRING "Processor that aarch64 code is compiled for, as -march= takes it")
+  add_compile_options(-march=${GODWIT_MARCH}+crypto)
 endif()
 add_compile_options(-ffp-contract=off -fno-math-errno)
 set(CMAKE_CXX_FLAGS_RELEASE "-O3 -g1 -DNDEBUG")

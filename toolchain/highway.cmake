@@ -1,0 +1,8 @@
+# godwit_highway: Highway's headers, its functions being chosen when they are compiled (static dispatch).
+add_library(godwit_highway INTERFACE)
+if(GODWIT_HOST_HEADERS)
+  target_include_directories(godwit_highway SYSTEM INTERFACE ${GODWIT_HOST_HEADERS})
+else()
+  pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)
+  target_link_libraries(godwit_highway INTERFACE PkgConfig::HWY)
+endif()

@@ -1,0 +1,33 @@
+# Where a cross build finds what is not in the sysroot. Eigen, Highway, fmt and toml++ are used as headers alone, which are the
+# same on every architecture: the machine's serve, by links, because the folder that holds them holds its other headers
+# too. OpenCV is our own cut (toolchain/opencv), made on first use.
+set(headers ${PROJECT_BINARY_DIR}/headers)
+file(MAKE_DIRECTORY ${headers})
+foreach(name fmt hwy toml++)
+  if(NOT EXISTS /usr/include/${name})
+    message(FATAL_ERROR "/usr/include/${name} is not there: scripts/setup installs it")
+  endif()
+  file(CREATE_LINK /usr/include/${name} ${headers}/${name} SYMBOLIC)
+endforeach()
+set(GODWIT_HOST_HEADERS ${headers})
+set(Eigen3_DIR /usr/share/eigen3/cmake CACHE PATH "Eigen's CMake package")
+set(TOMLPP_INCLUDE_DIR ${headers} CACHE PATH "Folder that holds toml++/toml.h")
+set(GODWIT_GTEST_SOURCE /usr/src/googletest CACHE PATH "GoogleTest to be built with the cross compiler")
+foreach(package fmt tomlplusplus yaml-cpp)
+  set(${package}_DIR ${CMAKE_CURRENT_LIST_DIR} CACHE PATH "CMake package of the cross build")
+endforeach()
+if(GODWIT_BUILD_APP)
+  set(JPEG_LIBRARY ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/libjpeg.a CACHE FILEPATH "Linked statically")
+  set(JPEG_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Folder that holds jpeglib.h")
+  execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/sysroot devices OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
+                  COMMAND_ERROR_IS_FATAL ANY)
+  list(APPEND CMAKE_FIND_ROOT_PATH ${folder})
+  set(ENV{PKG_CONFIG_LIBDIR} ${folder}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/pkgconfig)
+  set(ENV{PKG_CONFIG_SYSROOT_DIR} ${folder})
+  # What these libraries want in turn is on the target, not here.
+  add_link_options(-Wl,--unresolved-symbols=ignore-in-shared-libs)
+  message(STATUS "OpenCV for the target: looking, and building it if it is not there (a quarter of an hour or more, once)")
+  execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/opencv OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
+                  COMMAND_ERROR_IS_FATAL ANY)
+  set(OpenCV_DIR ${folder}/lib/cmake/opencv4 CACHE PATH "OpenCV's CMake package" FORCE)
+endif()
