@@ -201,7 +201,8 @@ rt::Result<Detector> Detector::open(const std::string& model_path, const ModelIn
   auto warm = state->run();
   if (!warm.ok() && state->options.backend != Backend::kCpu) {
     // Compiled in and present, and yet it cannot: a driver too old, a layer that it lacks, no memory left.
-    state->warning = "detector: CUDA was found but does not run this network (" + warm.error().message + "); using the CPU";
+    state->warning =
+        "detector: CUDA was found but does not run this network (" + warm.error().message + "); using the CPU";
     use_cpu(&state->net, &state->options);
     warm = state->run();
   }
