@@ -6,6 +6,7 @@
 #include <poll.h>
 #include <vector>
 
+#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
@@ -104,7 +105,7 @@ DoctorCamera examine_camera(const Config& config, const std::string& sequence, D
     report->wrong("camera: none is configured (camera.source is \"none\"): godwitd would not start");
     return out;
   }
-  const auto scenario = sim::find_scenario(config.camera.scenario, config.camera.scenarios);
+  const auto scenario = sim::find_scenario(config.camera.scenario, scenario_folder(config.camera.scenarios));
   if (!scenario) {
     report->wrong("camera: " + scenario.error().message);
     return out;

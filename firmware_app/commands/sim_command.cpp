@@ -3,43 +3,33 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
-#include <filesystem>
 #include <fmt/format.h>
 
+#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/whole_number.h"
 #include "firmware_app/sim/flight_writer.h"
 
 namespace godwit::app {
-namespace {
-
-std::filesystem::path scenario_folder(const FlightArguments& a) {
-  if (!a.folder.empty()) return a.folder;
-  std::error_code missing;
-  const std::filesystem::path here = "config/scenarios";
-  return std::filesystem::is_directory(here, missing) ? here : std::filesystem::path(GODWIT_SCENARIO_DIR);
-}
-
-}  // namespace
-
 void add_flight_options(CLI::App* command, FlightArguments* a) {
-  command
-      ->add_option("SCENARIO", a->scenario,
-                   "Name of a scenario in config/scenarios (street, survey, night ..), or a TOML file")
+  command->add_option("SCENARIO", a->scenario, "Name of a scenario (street, survey, night ..), or a TOML file")
       ->required();
   command
       ->add_option("--seed", a->seed, "Another seed is another world, wind and noise; equal seeds give equal flights")
       ->type_name("N")
       ->check(whole_number(0, 1'000'000'000))
       ->capture_default_str();
-  command->add_option("--scenarios", a->folder, "Folder in which scenarios are looked up")->type_name("DIR");
+  command
+      ->add_option("--scenarios", a->folder,
+                   "Folder in which scenarios are looked up (default: those that come with godwit)")
+      ->type_name("DIR");
   command->add_flag("--imu-faults", a->imu_faults,
                     "The IMU is worse than its data sheet: twice the noise, biases that ramp, 3 ms late, 0.5 ms of "
                     "jitter, mounted 1.5 degrees wrong (beyond the scenario's own)");
 }
 
 rt::Result<std::unique_ptr<sim::Flight>> make_flight(const FlightArguments& a) {
-  rt::Result<sim::Scenario> scenario = sim::find_scenario(a.scenario, scenario_folder(a));
+  rt::Result<sim::Scenario> scenario = sim::find_scenario(a.scenario, scenario_folder(a.folder));
   if (!scenario) return scenario.error();
   if (a.imu_faults) scenario.value().imu = sim::with_usual_faults(scenario.value().imu);
   auto flight = std::make_unique<sim::Flight>(scenario.value(), a.seed);

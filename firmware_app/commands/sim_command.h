@@ -15,7 +15,7 @@ namespace godwit::app {
 /// Which flight: shared by all commands that simulate.
 struct FlightArguments {
   std::string scenario;
-  std::string folder;  ///< where scenarios are looked up; empty: config/scenarios here, else that of the sources
+  std::string folder;  ///< where scenarios are looked up; empty: those that come with godwit
   std::uint64_t seed = 1;
   bool imu_faults = false;  ///< beside those of the scenario
 };

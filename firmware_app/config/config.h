@@ -35,8 +35,8 @@ struct Config {
   struct Camera {
     enum class Source { kNone, kSim };
     Source source = Source::kNone;
-    std::string scenario = "street";             ///< sim: name or file
-    std::string scenarios = "config/scenarios";  ///< sim: where names are looked up
+    std::string scenario = "street";  ///< sim: name or file
+    std::string scenarios;            ///< sim: where names are looked up; empty: those that come with godwit
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;

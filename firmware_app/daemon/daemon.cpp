@@ -7,6 +7,7 @@
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/sim/flight_calibration.h"
@@ -60,7 +61,7 @@ struct Source {
 };
 
 rt::Result<Source> open_sim(const Config::Camera& config, const std::atomic<bool>& stop) {
-  const auto scenario = sim::find_scenario(config.scenario, config.scenarios);
+  const auto scenario = sim::find_scenario(config.scenario, scenario_folder(config.scenarios));
   if (!scenario) return scenario.error();
   Source out;
   out.flight = std::make_unique<sim::Flight>(scenario.value(), config.seed);

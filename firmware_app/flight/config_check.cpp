@@ -8,6 +8,7 @@
 
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/flight/model_files.h"
+#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/sim/scenario.h"
 
@@ -27,7 +28,7 @@ void check_cpus(const std::string& section, const rt::ThreadPlan& plan, ConfigRe
 void check_scenario(ConfigReport* report) {
   const Config::Camera& camera = report->config.camera;
   if (camera.source != Config::Camera::Source::kSim) return;
-  const auto scenario = sim::find_scenario(camera.scenario, camera.scenarios);
+  const auto scenario = sim::find_scenario(camera.scenario, scenario_folder(camera.scenarios));
   if (scenario) return;
   std::string why = scenario.error().message;
   std::replace(why.begin(), why.end(), '\n', ';');

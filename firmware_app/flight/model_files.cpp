@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "detector/model_info.h"
+#include "hal/machine/installed_data.h"
 
 namespace godwit::app {
 namespace {
@@ -24,8 +25,9 @@ rt::Result<detector::ModelInfo> look_at(const std::string& model) {
 ModelFiles model_files(const Config::Detector& config) {
   ModelFiles out{config.model, config.small_model};
   if (out.large.empty()) {
-    out.large = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
-    if (out.small.empty()) out.small = GODWIT_MODEL_DIR "/cbam_yolov5n_320.onnx";
+    const std::string models = hal::installed_data("models");
+    out.large = models + "/cbam_yolov5n_416.onnx";
+    if (out.small.empty()) out.small = models + "/cbam_yolov5n_320.onnx";
   }
   return out;
 }

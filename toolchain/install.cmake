@@ -1,0 +1,45 @@
+# What `cmake --install` puts where. Components: programs (with unit, configuration, manual), models, scenarios.
+#   cmake --install build/release --strip --prefix DIR [--component NAME]
+include(GNUInstallDirs)
+
+# The programs look for models and scenarios in ../share/godwit beside their own folder (hal/machine/installed_data.h), so
+# that a prefix can be moved and nothing compiled in names one.
+set(GODWIT_DATA_DIR ${CMAKE_INSTALL_DATADIR}/godwit)
+file(RELATIVE_PATH from_programs ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE_INSTALL_FULL_DATADIR}/godwit)
+if(NOT from_programs STREQUAL "../share/godwit")
+  message(FATAL_ERROR "CMAKE_INSTALL_BINDIR and CMAKE_INSTALL_DATADIR: the programs look in ../share/godwit, not in ${from_programs}")
+endif()
+
+# The same beside the programs of the build folder, and beside those of the tests one folder further down.
+file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/share/godwit ${PROJECT_BINARY_DIR}/tests)
+file(CREATE_LINK ${PROJECT_SOURCE_DIR}/detector/models ${PROJECT_BINARY_DIR}/share/godwit/models SYMBOLIC)
+file(CREATE_LINK ${PROJECT_SOURCE_DIR}/config/scenarios ${PROJECT_BINARY_DIR}/share/godwit/scenarios SYMBOLIC)
+file(CREATE_LINK ../share ${PROJECT_BINARY_DIR}/tests/share SYMBOLIC)
+
+# godwit_program(NAME): a program that is installed, with a man page and shell completion out of its own --help.
+function(godwit_program name)
+  install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)
+  set(section 1)
+  if(name MATCHES "d$")
+    set(section 8)
+  endif()
+  set(manual ${PROJECT_BINARY_DIR}/manual)
+  set(page ${manual}/man/${name}.${section})
+  add_custom_command(
+    OUTPUT ${page} ${manual}/completion/${name}
+    COMMAND /usr/bin/python3 ${PROJECT_SOURCE_DIR}/scripts/make_manual --out ${manual} --version ${PROJECT_VERSION}
+            "--run=${CMAKE_CROSSCOMPILING_EMULATOR}" $<TARGET_FILE:${name}>
+    DEPENDS ${name} ${PROJECT_SOURCE_DIR}/scripts/make_manual
+    COMMENT "Manual of ${name}" VERBATIM)
+  add_custom_target(${name}_manual ALL DEPENDS ${page})
+  install(FILES ${page} DESTINATION ${CMAKE_INSTALL_MANDIR}/man${section} COMPONENT programs)
+  install(FILES ${manual}/completion/${name} DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions
+          COMPONENT programs)
+endfunction()
+
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/detector/models DESTINATION ${GODWIT_DATA_DIR} COMPONENT models)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/config/scenarios DESTINATION ${GODWIT_DATA_DIR} COMPONENT scenarios)
+install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc DESTINATION ${GODWIT_DATA_DIR} COMPONENT programs)
+# An administrator's file: the defaults, every key explained.
+install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.toml DESTINATION ${CMAKE_INSTALL_SYSCONFDIR}/godwit
+        COMPONENT programs)
