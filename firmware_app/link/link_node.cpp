@@ -94,16 +94,6 @@ LinkNode::LinkNode(const LinkConfig& config, const LinkPorts& ports, const Store
   set_bus_filters();
 }
 
-void LinkNode::follow_resets(const PoseSample& sample) {
-  if (any_pose_) {
-    auto jumps = static_cast<std::uint8_t>(sample.reset_counter - sample_reset_);
-    if (jumps == 0 && sample.map_id != sample_map_) jumps = 1;
-    reset_counter_ = static_cast<std::uint8_t>(reset_counter_ + jumps);
-  }
-  sample_reset_ = sample.reset_counter;
-  sample_map_ = sample.map_id;
-}
-
 // Poses leave in step with VIO_RATE: one is due when its capture time has come within a quarter period of the plan, so
 // that a camera of the same rate loses none to jitter, and a faster one is thinned evenly.
 bool LinkNode::pose_is_due(const PoseSample& sample) {
@@ -119,6 +109,7 @@ void LinkNode::send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::Time
   last_carried_ = 0;
   if (!endpoint_.send_odometry(odometry_message(pose, config_.odometry, t_capture_ns, reset_counter_), now_ns)) return;
   ++status_.odometry_sent;
+  hold_.sent();
   t_last_odometry_ns_ = now_ns;
   sample_sent_ = {t_capture_ns, t_published_ns, pose.quality};
   pose_under_way_ = true;
@@ -126,6 +117,10 @@ void LinkNode::send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::Time
 }
 
 void LinkNode::take_pose(rt::TimeNs now_ns) {
+  if (endpoint_.t_attitude_ns() != 0) {
+    const mavlink::AttitudeQuaternion& a = endpoint_.attitude();
+    hold_.heard_attitude({a.q1, a.q2, a.q3, a.q4}, endpoint_.t_attitude_ns());
+  }
   PoseSample sample;
   if (ports_.poses->read(&sample)) {
     const bool late = sample.t_capture_ns <= sample_.t_capture_ns && any_pose_;
@@ -134,14 +129,16 @@ void LinkNode::take_pose(rt::TimeNs now_ns) {
     if (late || old || bad_pose_) {
       ++status_.poses_stale;  // not taken: if nothing better comes, the watch below says so
     } else {
-      follow_resets(sample);
       sample_ = sample;
       any_pose_ = true;
       t_last_pose_ns_ = now_ns;
-      body_ = body_pose(sample, config_.odometry);
+      const BodyPose pose = body_pose(sample, config_.odometry);
+      const std::uint8_t steps = hold_.take(pose, sample.map_id, sample.reset_counter, now_ns);
+      reset_counter_ = static_cast<std::uint8_t>(reset_counter_ + steps);
+      body_ = hold_.pose();
       const bool claims_pose = sample.state == PoseState::kTracking || sample.state == PoseState::kCoasting;
       const bool known = sample.has_gravity || config_.odometry.bench_metric;
-      bad_pose_ = claims_pose && known && !body_.attitude_known;
+      bad_pose_ = claims_pose && known && !pose.attitude_known;
       // A pose that fails is told at once, whatever the plan says.
       const bool failed = body_.quality < 0 && status_.quality >= 0;
       const bool due = pose_is_due(sample) || failed;
@@ -156,13 +153,12 @@ void LinkNode::take_pose(rt::TimeNs now_ns) {
     send_pose(body_, sample_.t_capture_ns, sample_.t_published_ns, now_ns);
   }
   if (!any_pose_ || !stalled(now_ns)) return;
-  // Camera or odometry fell silent: say so at the usual rate, with no pose at all rather than the last one again.
-  if (sample_.state != PoseState::kLost) {
-    sample_.state = PoseState::kLost;
-    pose_waits_ = false;
-    body_ = body_pose(PoseSample{}, config_.odometry);
-    status_.quality = -1;
-  }
+  // Camera or odometry fell silent: say so at the usual rate; the last position is told as no pose.
+  sample_.state = PoseState::kLost;
+  pose_waits_ = false;
+  hold_.lose(now_ns);
+  body_ = hold_.pose();
+  status_.quality = -1;
   const rt::TimeNs period = rt::kNsPerSecond / parameters_.get(Parameter::kRate);
   if (now_ns - t_last_odometry_ns_ >= period) send_pose(body_, now_ns, 0, now_ns);
 }

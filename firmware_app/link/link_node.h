@@ -15,6 +15,7 @@
 #include "firmware_app/link/odometry_message.h"
 #include "firmware_app/link/parameters.h"
 #include "firmware_app/link/pose_departure.h"
+#include "firmware_app/link/pose_hold.h"
 #include "firmware_app/link/pose_sample.h"
 #include "firmware_app/link/storage.h"
 #include "firmware_app/link/telemetry.h"
@@ -143,7 +144,6 @@ class LinkNode {
   void take_tunnel(const dronecan::Transfer& transfer, rt::TimeNs now_ns);
   bool send_through_tunnel(std::span<const std::uint8_t> frame, TxClass tx_class, rt::TimeNs now_ns);
   void take_pose(rt::TimeNs now_ns);
-  void follow_resets(const PoseSample& sample);
   bool pose_is_due(const PoseSample& sample);
   void send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs t_published_ns, rt::TimeNs now_ns);
   void send_telemetry(rt::TimeNs now_ns);
@@ -170,7 +170,8 @@ class LinkNode {
   std::atomic<bool> origin_requested_{false};  // partner: step(); a flag alone, so relaxed order will do
 
   PoseSample sample_;  // the newest one taken
-  BodyPose body_;      // its pose
+  PoseHold hold_;      // what is sent for it
+  BodyPose body_;      // the same, as it waits or was sent last
   SystemHealth health_;
   bool started_ = false;
   bool any_pose_ = false;
@@ -181,8 +182,6 @@ class LinkNode {
   rt::TimeNs t_last_odometry_ns_ = 0;
   std::uint8_t reset_counter_ = 0;
   std::uint8_t reset_reserved_ = 0;
-  std::uint8_t sample_reset_ = 0;
-  std::uint32_t sample_map_ = 0;
 
   std::uint8_t filters_for_node_ = 0;
   std::uint8_t tunnel_transfer_id_ = 0;

@@ -31,9 +31,9 @@ struct OdometryConfig {
 
 /// Pose in the profile's frames, before it becomes a message; also what the telemetry frames carry. Always finite.
 struct BodyPose {
-  bool attitude_known = false;                         ///< else the attitude is neutral
-  bool metric = false;                                 ///< else position and velocity are zero, quality -1
-  std::int8_t quality = -1;                            ///< -1 failed, 1 to 100
+  bool attitude_known = false;  ///< else the attitude is neutral
+  bool metric = false;          ///< else velocity is zero, quality -1, and the position is none of it
+  std::int8_t quality = -1;     ///< -1 failed, 1 to 100
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< [m], local frame
   Eigen::Vector4d q{1, 0, 0, 0};                       ///< w x y z, body to local frame, w >= 0
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< [m/s], body axes
@@ -47,8 +47,7 @@ constexpr double kUnknownPositionVariance = 1e4;
 constexpr double kUnknownAngleVariance = 9.87;
 
 /// Carries a pose to the body. Not finite, huge (above 100 km or 300 m/s) or stateless poses come out with quality -1
-/// and neutral fields, so that an autopilot that does not look at quality finds a position nobody would fuse (100 m).
-/// No allocation.
+/// and neutral fields, with a sigma nobody would fuse (100 m); PoseHold makes of them what is sent. No allocation.
 BodyPose body_pose(const PoseSample& sample, const OdometryConfig& config);
 
 /// 1 to 100 for a usable pose: full at 100 measurements and a position sigma far below 0.5 m, at most 50 while

@@ -242,6 +242,11 @@ class VisionRules:
         self.fused = 0
         self.failed = 0  # quality below the minimum: taken for health, not fused
         self.sigmas = []
+        # VISO_TYPE 3: the position of every message is remembered, whatever its quality; when the reset counter changes
+        # the new one is aligned to it. (The heading's alignment: viso_type3.h.)
+        self.correction = (0.0, 0.0, 0.0)
+        self.position = None  # of the newest message, aligned
+        self.fused_positions = []  # (time_usec, aligned position) of what the filter gets
 
     @staticmethod
     def numbers(m):
@@ -266,7 +271,11 @@ class VisionRules:
         self.last_t = t
         if self.last_reset is not None and m.reset_counter != self.last_reset:
             self.resets += 1
+            self.correction = tuple(last - new for last, new in zip(self.position, (m.x, m.y, m.z)))
         self.last_reset = m.reset_counter
+        self.position = tuple(a + b for a, b in zip((m.x, m.y, m.z), self.correction))
+        if m.quality >= self.quality_min:
+            self.fused_positions.append((m.time_usec, self.position))
         c = m.pose_covariance
         sigma_47 = math.sqrt(c[0] + c[6] + c[11])
         sigma_46 = (c[0] ** 2 + c[6] ** 2 + c[11] ** 2) ** (1.0 / 3)

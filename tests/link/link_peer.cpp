@@ -1,6 +1,7 @@
 // Flies a known trajectory through the link on a real bus, for the Python peers to look at:
 //   godwit_link_peer --can multicast:0 [--mavlink udp:...] --seconds S [--state DIR] [--poses FILE] [--rate HZ]
-//     [--set NAME=VALUE]... [--lost FROM:TO] [--stall FROM:TO] [--reset AT] [--scale-at AT] [--no-gravity] [--origin]
+//     [--set NAME=VALUE]... [--lost FROM:TO] [--new-map] [--stall FROM:TO] [--reset AT] [--scale-at AT] [--no-gravity]
+//     [--origin]
 // Writes each pose it published to FILE ("t_us state px py pz qw qx qy qz vx vy vz scale", camera in world), and at the
 // end one line of JSON with what the link says of itself and how long a step with a pose took. Exit code 75:
 // RestartNode came.
@@ -30,6 +31,7 @@ struct Options {
   double seconds = 10, camera_hz = 30, reset_at = 1e9, scale_at = 0;
   Window lost, stall;
   bool gravity = true;
+  bool new_map = false;  ///< after it was lost: one that begins where it was found
   LinkConfig link;
 };
 
@@ -46,6 +48,8 @@ bool parse(int argc, char** argv, Options* o) {
     const auto value = [&] { return argv[++i]; };
     if (a == "--no-gravity")
       o->gravity = false;
+    else if (a == "--new-map")
+      o->new_map = true;
     else if (a == "--origin")
       o->link.mavlink.origin = mavlink::GlobalOrigin{47.3977, 8.5456, 488.0};
     else if (!has_value)
@@ -157,6 +161,7 @@ int main(int argc, char** argv) {
   std::vector<double> own_ms, wall_ms;
   std::array<std::uint64_t, 8> input_counts{};
   std::uint8_t resets = 0;
+  std::array<double, 3> map_start{};
   while (!link->restart_due()) {
     rt::TimeNs now = rt::monotonic_now_ns();
     const double t = rt::to_seconds(now - start);
@@ -169,7 +174,14 @@ int main(int argc, char** argv) {
       s.has_gravity = o.gravity;
       if (t >= o.reset_at && resets == 0) resets = 1;
       s.reset_counter = resets;
-      if (o.lost.holds(t)) s.state = PoseState::kLost;
+      if (o.lost.holds(t)) {
+        s.state = PoseState::kLost;
+        if (o.new_map) s.map_id = 0;
+      } else if (o.new_map && t >= o.lost.to) {
+        if (map_start == std::array<double, 3>{}) map_start = s.position;
+        for (std::size_t i = 0; i < 3; ++i) s.position[i] -= map_start[i];
+        s.map_id = 2;
+      }
       pose = !o.stall.holds(t);
       if (pose) {
         poses->write(s);

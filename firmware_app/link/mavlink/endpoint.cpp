@@ -92,7 +92,10 @@ void Endpoint::take(const RawMessage& raw, rt::TimeNs now_ns) {
   }
   // Measurements are taken from the autopilot alone, once it is known.
   if (autopilot_system_ == 0 || raw.system != autopilot_system_ || raw.component != autopilot_component_) return;
-  if (raw.id == AttitudeQuaternion::kId) decode(raw, &attitude_);
+  if (raw.id == AttitudeQuaternion::kId) {
+    decode(raw, &attitude_);
+    t_attitude_ns_ = now_ns;
+  }
   for (Wanted& w : wanted_) {
     if (w.id != raw.id) continue;
     w.t_arrived_ns = now_ns;

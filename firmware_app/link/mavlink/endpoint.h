@@ -67,8 +67,9 @@ class Endpoint {
   void request_parameter(std::string_view name, rt::TimeNs now_ns);
   /// The newest PARAM_VALUE not yet taken.
   std::optional<ParamValue> take_parameter();
-  /// The newest ATTITUDE_QUATERNION.
+  /// The newest ATTITUDE_QUATERNION; t_attitude_ns: when it came, 0 never.
   const AttitudeQuaternion& attitude() const { return attitude_; }
+  rt::TimeNs t_attitude_ns() const { return t_attitude_ns_; }
 
   bool autopilot_alive(rt::TimeNs now_ns) const;
   /// The last HEARTBEAT of the autopilot said armed; t_heartbeat_ns: when that was, 0 never.
@@ -111,6 +112,7 @@ class Endpoint {
   std::array<Wanted, 6> wanted_{};
   std::size_t next_wanted_ = 0;
   AttitudeQuaternion attitude_;
+  rt::TimeNs t_attitude_ns_ = 0;
   std::optional<ParamValue> parameter_;
   EndpointCounters counters_;
 };
