@@ -3,10 +3,10 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <atomic>
-#include <cstdio>
 
 #include "firmware_app/daemon/daemon.h"
 #include "firmware_app/flight/config_check.h"
+#include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
 
@@ -28,7 +28,7 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   }
   ConfigReport report = load_config(file);
   if (report.ok()) check_for_daemon(&report);
-  for (const std::string& mistake : report.mistakes) std::fprintf(stderr, "godwitd: %s\n", mistake.c_str());
+  for (const std::string& mistake : report.mistakes) error_log().put("godwitd: " + mistake);
   return report.ok() ? run_daemon(report.config, stop) : static_cast<int>(kExitRefused);
 }
 

@@ -14,6 +14,9 @@ constexpr rt::TimeNs kStepNs = 5 * rt::kNsPerMs;
 constexpr rt::TimeNs kKeeperPeriodNs = 50 * rt::kNsPerMs;
 /// The tracker tells of each frame, and of a silent camera every 100 ms: without either for so long it hangs.
 constexpr rt::TimeNs kTrackerHangsNs = 500 * rt::kNsPerMs;
+/// The link thread steps every 5 ms; the keeper may wait for a disc or for the log.
+constexpr rt::TimeNs kLinkSilentNs = 500 * rt::kNsPerMs;
+constexpr rt::TimeNs kKeeperSilentNs = 3 * rt::kNsPerSecond;
 constexpr rt::TimeNs kReportPeriodNs = 60 * rt::kNsPerSecond;
 
 const char* bus_state_text(hal::CanState state) {
@@ -45,10 +48,13 @@ rt::Result<std::unique_ptr<LinkRunner>> LinkRunner::start(const LinkRunnerOption
 }
 
 rt::Result<void> LinkRunner::start_threads() {
+  if (options_.heartbeats != nullptr) link_pulse_ = options_.heartbeats->watch("gw-link", kLinkSilentNs);
   if (auto started = link_thread_.start("gw-link", options_.thread, [this] { run_link(); }); !started.ok()) {
+    link_pulse_.end();
     return started.error();
   }
   if (!link_thread_.warning().empty()) tell(LinkLogLevel::kWarning, link_thread_.warning());
+  if (options_.heartbeats != nullptr) keeper_pulse_ = options_.heartbeats->watch("gw-link-keep", kKeeperSilentNs);
   keeper_thread_ = std::thread([this] { run_keeper(); });
   return {};
 }
@@ -70,7 +76,14 @@ LinkRunner::~LinkRunner() {
 const link::LinkStatus& LinkRunner::finish() {
   ending_.store(true, std::memory_order_relaxed);
   link_thread_.join();
-  if (keeper_thread_.joinable()) keeper_thread_.join();
+  if (keeper_thread_.joinable()) {
+    const rt::TimeNs give_up = rt::monotonic_now_ns() + kEndPatienceNs;
+    while (options_.abandon && !keeper_ended_.load(std::memory_order_acquire)) {
+      if (rt::monotonic_now_ns() > give_up) options_.abandon("gw-link-keep");
+      rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    }
+    keeper_thread_.join();
+  }
   service_->take_status(&status_);
   return status_;
 }
@@ -110,9 +123,13 @@ void LinkRunner::run_link() {
   while (!ending_.load(std::memory_order_relaxed)) {
     service_->wait(kStepNs);
     const rt::RtScope real_time;
+    link_pulse_.beat();
     service_->step(rt::monotonic_now_ns());
     if (service_->node().restart_due()) restart_due_.store(true, std::memory_order_relaxed);
+    // Not the keeper's: a disc or a log that hangs must not keep the end away.
+    if (user_stop_.load(std::memory_order_relaxed) || restart_due()) stop_.store(true, std::memory_order_relaxed);
   }
+  link_pulse_.end();
   faults_ = rt::thread_page_faults() - before;
 }
 
@@ -127,10 +144,12 @@ void LinkRunner::run_keeper() {
     }
     look_at_machine(rt::monotonic_now_ns());
     if (service_->take_status(&status_)) watch(status_);
-    if (user_stop_.load(std::memory_order_relaxed) || restart_due()) stop_.store(true, std::memory_order_relaxed);
+    keeper_pulse_.beat();
     rt::sleep_until_ns(rt::monotonic_now_ns() + kKeeperPeriodNs);
   }
   service_->serve_storage();
+  keeper_pulse_.end();
+  keeper_ended_.store(true, std::memory_order_release);
 }
 
 void LinkRunner::watch(const link::LinkStatus& s) {
@@ -146,7 +165,8 @@ void LinkRunner::watch(const link::LinkStatus& s) {
     tell(LinkLogLevel::kWarning, "the latency grew: set VISO_DELAY_MS anew, or find what slows this computer down");
   }
   const rt::TimeNs now = rt::monotonic_now_ns();
-  if (now >= t_next_report_ns_ || (s.latency.grew && !told_.latency.grew)) {
+  if (now >= t_next_report_ns_ || words_asked_.exchange(false, std::memory_order_relaxed) ||
+      (s.latency.grew && !told_.latency.grew)) {
     t_next_report_ns_ = now + kReportPeriodNs;
     for (const std::string& line : link_report(s)) tell(LinkLogLevel::kInfo, line);
   }
@@ -156,13 +176,17 @@ void LinkRunner::watch(const link::LinkStatus& s) {
 rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
                                                    const std::optional<std::array<double, 16>>& T_body_cam,
                                                    const LinkLog& log, const std::atomic<bool>& user_stop,
-                                                   link::DepartureRing* departures) {
+                                                   link::DepartureRing* departures, rt::Heartbeats* heartbeats,
+                                                   std::function<void(const char*)> abandon) {
   if (!wants_link(config)) return std::unique_ptr<LinkRunner>();
   LinkRunnerOptions options;
   options.settings = link_settings(config, T_body_cam);
   options.settings.departures = departures;
   options.thread = config.threads.link;
   options.log = log;
+  options.heartbeats = heartbeats;
+  options.settings.link.heartbeats = heartbeats;
+  options.abandon = std::move(abandon);
   auto link = LinkRunner::start(options, user_stop);
   if (link.ok()) log(LinkLogLevel::kInfo, "link: " + mounting_words(options.settings.link.odometry.R_body_cam));
   return link;

@@ -15,6 +15,7 @@
 #include "firmware_app/link/link_service.h"
 #include "firmware_app/pipeline/pipeline.h"
 #include "hal/machine/machine_state.h"
+#include "hal/rt/heartbeat.h"
 #include "hal/rt/thread.h"
 
 namespace godwit::app {
@@ -29,6 +30,11 @@ struct LinkRunnerOptions {
   link::LinkSettings settings;
   LinkLog log;            ///< null: nobody listens
   rt::ThreadPlan thread;  ///< of gw-link
+  /// Both threads beat in it, and the node's health says when any thread in it is silent. May be null; outlives the
+  /// runner.
+  rt::Heartbeats* heartbeats = nullptr;
+  /// Called by finish() where the keeper does not end in kEndPatienceNs; must not return. Null: it is waited for.
+  std::function<void(const char* thread)> abandon;
 };
 
 /// Two threads: gw-link, under real-time rules, moves frames between bus and pipeline; gw-link-keep may block: it keeps
@@ -57,6 +63,9 @@ class LinkRunner final : public FrameTap {
   /// One thread: what the autopilot told, oldest first.
   bool take_input(link::AutopilotInput* input) { return service_->take_input(input); }
 
+  /// The log gets its report at the keeper's next look, not at the end of the minute. Any thread.
+  void ask_for_words() { words_asked_.store(true, std::memory_order_relaxed); }
+
   /// Ends the threads and returns the last status. Afterwards nothing is sent any more.
   const link::LinkStatus& finish();
   /// How gw-link fared; valid after finish().
@@ -78,12 +87,14 @@ class LinkRunner final : public FrameTap {
   const std::atomic<bool>& user_stop_;
   /// finish() -> both threads: end. Relaxed, as the two below: nothing is ordered by them.
   std::atomic<bool> ending_{false};
-  std::atomic<bool> stop_{false};         ///< keeper -> pipeline
-  std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
+  std::atomic<bool> stop_{false};          ///< link thread -> pipeline
+  std::atomic<bool> keeper_ended_{false};  ///< keeper -> finish()
+  std::atomic<bool> restart_due_{false};   ///< link thread -> keeper and the pipeline's caller
   /// Tracker -> keeper: when it last gave a sign of life (0: not yet), and what it sees of the others. Relaxed:
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
   /// silence by then.
   std::atomic<rt::TimeNs> t_tracker_alive_ns_{0};
+  std::atomic<bool> words_asked_{false};  ///< anybody -> keeper; relaxed, a flag alone
   std::atomic<bool> camera_silent_{false};
   std::atomic<bool> imu_ok_{true};
   std::atomic<bool> detector_ok_{true};
@@ -95,6 +106,7 @@ class LinkRunner final : public FrameTap {
   std::string told_storage_error_;
   const hal::MachineMonitor machine_;  ///< keeper's
   rt::PageFaults faults_;              ///< link thread's, from its first step on; finish() joins it
+  rt::Pulse link_pulse_, keeper_pulse_;
   rt::Thread link_thread_;
   std::thread keeper_thread_;
 };
@@ -104,7 +116,9 @@ class LinkRunner final : public FrameTap {
 rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
                                                    const std::optional<std::array<double, 16>>& T_body_cam,
                                                    const LinkLog& log, const std::atomic<bool>& user_stop,
-                                                   link::DepartureRing* departures = nullptr);
+                                                   link::DepartureRing* departures = nullptr,
+                                                   rt::Heartbeats* heartbeats = nullptr,
+                                                   std::function<void(const char*)> abandon = {});
 
 /// Lines for people: latency with the VISO_DELAY_MS to set, our own share of it, messages, bus load, what was lost.
 std::vector<std::string> link_report(const link::LinkStatus& status);

@@ -6,14 +6,20 @@
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
+#include "firmware_app/output/line_log.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/output/view_writer.h"
 #include "firmware_app/pipeline/pipeline.h"
 #include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/program.h"
 
 namespace godwit::app {
 namespace {
+
+void say(const std::string& line) {
+  error_log().put("godwit: " + line);
+}
 
 /// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
@@ -27,12 +33,12 @@ class ShowingSink final : public FrameSink {
   }
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
-    if (!warning.empty()) fmt::print(stderr, "godwit: warning: {}\n", warning);
+    if (!warning.empty()) say("warning: " + warning);
   }
   void event(const rt::LogEntry& entry) override {
     clock_.heard(entry.t_ns);
     bar_->make_way();
-    fmt::print(stderr, "godwit: {}\n", event_line(entry, clock_.first_ns()));
+    say(event_line(entry, clock_.first_ns()));
     next_->event(entry);
   }
 
@@ -81,12 +87,12 @@ void tell(const RunWriter& writer, const std::string& folder) {
 }  // namespace
 
 int refuse(const std::string& message) {
-  fmt::print(stderr, "godwit: {}\n", message);
+  say(message);
   return kExitRefused;
 }
 
 int failed(const std::string& message) {
-  fmt::print(stderr, "godwit: {}\n", message);
+  say(message);
   return kExitFailed;
 }
 
@@ -102,8 +108,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
       assemble(config, calibration, {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr});
   if (!assembled) return refuse(assembled.error().message);
   const Assembly& parts = assembled.value();
-  if (parts.dynamic != nullptr && !parts.dynamic->warning().empty())
-    fmt::print(stderr, "godwit: warning: {}\n", parts.dynamic->warning());
+  if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
@@ -111,9 +116,14 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   parts.plan_detector(&pipeline);
   pipeline.imu = plan.imu;
   const auto log = [](LinkLogLevel level, const std::string& text) {
-    fmt::print(stderr, "godwit: {}{}\n", level == LinkLogLevel::kWarning ? "warning: " : "", text);
+    say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };
-  auto link = start_link(config, calibration.T_body_cam, log, stop);
+  rt::Heartbeats heartbeats;
+  const auto abandon = [](const char* thread) { end_without("godwit", thread, kExitFailed); };
+  pipeline.heartbeats = &heartbeats;
+  pipeline.abandon = abandon;
+  pipeline.also_stop = &stop;
+  auto link = start_link(config, calibration.T_body_cam, log, stop, nullptr, &heartbeats, abandon);
   if (!link) return refuse(link.error().message);
   LinkRunner* const autopilot = link.value().get();
   pipeline.tap = autopilot;
@@ -132,11 +142,11 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   }
   if (!run) return failed(run.error().message);
   if (stop.load(std::memory_order_relaxed)) {
-    fmt::print(stderr, "godwit: interrupted; nothing was written\n");
+    say("interrupted; nothing was written");
     return kExitInterrupted;
   }
   if (autopilot != nullptr && autopilot->restart_due()) {
-    fmt::print(stderr, "godwit: restart asked for over the bus; nothing was written\n");
+    say("restart asked for over the bus; nothing was written");
     return kExitRestart;
   }
   RunDescription description{GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads",

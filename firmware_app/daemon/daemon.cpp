@@ -9,7 +9,9 @@
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/event_line.h"
+#include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/program.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sim/looped_pictures.h"
 #include "hal/machine/machine_state.h"
@@ -18,7 +20,7 @@ namespace godwit::app {
 namespace {
 
 void say(const std::string& line) {
-  fmt::print(stderr, "godwitd: {}\n", line);
+  error_log().put("godwitd: " + line);
 }
 
 int give_up(const std::string& line) {
@@ -116,13 +118,24 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   const auto log = [](LinkLogLevel level, const std::string& text) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };
-  auto link = start_link(config, calibration.T_body_cam, log, stop);
+  // Both outlive link and pipeline.
+  rt::Heartbeats heartbeats;
+  const LinkRunner* restarts = nullptr;
+  const auto abandon = [&restarts](const char* thread) {
+    end_without("godwitd", thread, restarts != nullptr && restarts->restart_due() ? kExitRestart : kExitFailed);
+  };
+  options.heartbeats = &heartbeats;
+  options.abandon = abandon;
+  auto link = start_link(config, calibration.T_body_cam, log, stop, nullptr, &heartbeats, abandon);
   if (!link) {
     say(link.error().message);
     return kExitRefused;
   }
   LinkRunner* const autopilot = link.value().get();
+  restarts = autopilot;
   options.tap = autopilot;
+  // The link's own flag is raised by its thread, which may hang.
+  options.also_stop = &stop;
   Journal journal(arm_memory(config));
   const auto run = run_pipeline(source.value().camera.get(), parts.stage.get(), parts.pool.get(), options, &journal,
                                 autopilot != nullptr ? autopilot->stop() : stop);

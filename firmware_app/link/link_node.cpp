@@ -222,7 +222,8 @@ NodeCondition LinkNode::condition(rt::TimeNs now_ns) const {
   const bool bench = config_.odometry.bench_metric;
   set(kCameraFailed, !health_.camera_ok);
   set(kImuFailed, !health_.imu_ok);
-  set(kProcessFailed, !health_.process_ok);
+  const bool all_live = config_.heartbeats == nullptr || config_.heartbeats->silent(now_ns).name == nullptr;
+  set(kProcessFailed, !health_.process_ok || !all_live);
   set(kPoseStalled, stall);
   set(kNoPose, !has_pose);
   set(kNoScale, !sample_.has_scale && !bench);

@@ -21,6 +21,7 @@
 #include "firmware_app/link/telemetry.h"
 #include "firmware_app/link/tx_queue.h"
 #include "hal/can/can_bus.h"
+#include "hal/rt/heartbeat.h"
 #include "hal/rt/triple_buffer.h"
 
 namespace godwit::link {
@@ -60,6 +61,8 @@ struct LinkConfig {
   double fd_data_rate_factor = 4;
   /// Read after the frames of a pose were handed over, for the latency figures alone; null: step()'s argument stands.
   rt::TimeNs (*clock)() = nullptr;
+  /// Threads whose silence is a failure of the process; null: nobody is watched. Outlives the node.
+  const rt::Heartbeats* heartbeats = nullptr;
 };
 
 /// What the link says of itself to log and display.

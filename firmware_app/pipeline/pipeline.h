@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,6 +15,7 @@
 #include "hal/camera/camera.h"
 #include "hal/machine/machine_state.h"
 #include "hal/rt/frame_pool.h"
+#include "hal/rt/heartbeat.h"
 #include "hal/rt/log_ring.h"
 #include "hal/rt/memory.h"
 #include "hal/rt/result.h"
@@ -22,7 +24,8 @@
 namespace godwit::app {
 
 /// Takes the finished frames, in the order in which they were due. Called by the thread that runs the pipeline, which
-/// may block: at real pace what it cannot take in time is lost and counted, and nothing else suffers.
+/// may block: at real pace what it cannot take in time is lost and counted, and nothing else suffers. An exception out
+/// of take() counts as its error, one out of the others is passed over.
 class FrameSink {
  public:
   virtual ~FrameSink() = default;
@@ -33,6 +36,9 @@ class FrameSink {
   /// What a real-time thread had to say: changes of state and of rung, a silent camera. In the order in which they
   /// happened, but not in step with take(). The entry's text is static.
   virtual void event(const rt::LogEntry& /*entry*/) {}
+  /// Threads: between two looks at what came, at least every 100 ms while the calling thread lives. Where a watchdog is
+  /// fed.
+  virtual void turn(rt::TimeNs /*now_ns*/) {}
 };
 
 /// Hears of each frame at once, before files and logs do: what goes out to the autopilot starts here.
@@ -57,6 +63,9 @@ struct PipelineThreads {
   rt::ThreadPlan camera, imu, tracker, mapper, detector;
 };
 
+/// How long a thread may take to end.
+constexpr rt::TimeNs kEndPatienceNs = 4 * rt::kNsPerSecond;
+
 struct PipelineOptions {
   bool sequential = false;  ///< everything in the calling thread, in a fixed order
   /// Threads only. True (a camera, or a replay at real pace): the camera is never held up; the tracker takes the newest
@@ -70,6 +79,11 @@ struct PipelineOptions {
   PipelineThreads threads;                         ///< threads only
   SchedulerOptions scheduler;                      ///< scheduler.detector is set by whether there is one
   const hal::MachineMonitor* machine = nullptr;    ///< may be null; read once a second at real pace
+  rt::Heartbeats* heartbeats = nullptr;            ///< may be null; threads at real pace beat in it
+  const std::atomic<bool>* also_stop = nullptr;    ///< may be null; a second flag that ends the run
+  /// Called in the caller's thread where a thread does not end kEndPatienceNs after it was told to; must not return.
+  /// Null: it is waited for.
+  std::function<void(const char* thread)> abandon;
 };
 
 /// How one thread fared.

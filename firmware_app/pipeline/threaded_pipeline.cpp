@@ -1,7 +1,9 @@
 #include "firmware_app/pipeline/threaded_pipeline.h"
 
 #include <cassert>
+#include <exception>
 #include <limits>
+#include <string>
 
 #include "firmware_app/pipeline/feeder.h"
 #include "hal/rt/rt_scope.h"
@@ -15,8 +17,24 @@ constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
 /// How long the IMU may take to answer, and how long it is left alone after a fault.
 constexpr rt::TimeNs kImuWaitNs = 50 * rt::kNsPerMs;
 constexpr rt::TimeNs kImuFaultNs = rt::kNsPerMs;
+/// Threads that wait for work wake up every kSleepNs; a thread that is silent for longer hangs. The mapper may work on
+/// one message for long; files and log may hold the collecting thread up.
+constexpr rt::TimeNs kSilentNs = 500 * rt::kNsPerMs;
+constexpr rt::TimeNs kMapperSilentNs = 2 * rt::kNsPerSecond;
+constexpr rt::TimeNs kCollectorSilentNs = 3 * rt::kNsPerSecond;
 /// How often the machine's temperature is looked at.
 constexpr rt::TimeNs kMachineNs = rt::kNsPerSecond;
+
+/// What a sink throws must not unwind past running threads. What it said; empty: nothing was thrown.
+template <typename Call>
+std::string guarded(Call call) {
+  try {
+    call();
+    return "";
+  } catch (const std::exception& e) {
+    return e.what()[0] != '\0' ? e.what() : "an exception without a word";
+  }
+}
 
 SchedulerOptions scheduler_options(const PipelineOptions& options) {
   SchedulerOptions out = options.scheduler;
@@ -39,22 +57,53 @@ ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::F
       imu_(options.imu, options.newest_frame),
       scheduler_(scheduler_options(options)) {}
 
+rt::Result<void> ThreadedPipeline::start_thread(ThreadIndex index, const char* name, const rt::ThreadPlan& plan,
+                                                void (ThreadedPipeline::*body)(), rt::TimeNs patience_ns) {
+  // Only at real pace is somebody late who takes his time.
+  if (options_.heartbeats != nullptr && newest_frame_ && patience_ns > 0) {
+    pulses_[index] = options_.heartbeats->watch(name, patience_ns);
+  }
+  auto started = threads_[index].start(name, plan, [this, index, body] {
+    (this->*body)();
+    pulses_[index].end();
+    ended_[index].store(true, std::memory_order_release);
+    collector_wake_.post();
+  });
+  if (!started) pulses_[index].end();
+  return started;
+}
+
 rt::Result<void> ThreadedPipeline::start() {
+  using P = ThreadedPipeline;
   const PipelineThreads& plans = options_.threads;
   if (options_.detector != nullptr) {
-    if (auto r = threads_[kDetector].start("gw-detector", plans.detector, [this] { detect(); }); !r) return r;
+    // The scheduler finds out when it hangs, and that is no failure of the flight.
+    if (auto r = start_thread(kDetector, "gw-detector", plans.detector, &P::detect, 0); !r) return r;
   }
-  if (auto r = threads_[kMapper].start("gw-mapper", plans.mapper, [this] { map(); }); !r) return r;
-  if (auto r = threads_[kTracker].start("gw-tracker", plans.tracker, [this] { track(); }); !r) return r;
+  if (auto r = start_thread(kMapper, "gw-mapper", plans.mapper, &P::map, kMapperSilentNs); !r) return r;
+  if (auto r = start_thread(kTracker, "gw-tracker", plans.tracker, &P::track, kSilentNs); !r) return r;
   if (options_.imu != nullptr && newest_frame_) {
-    if (auto r = threads_[kImu].start("gw-imu", plans.imu, [this] { sense(); }); !r) return r;
+    if (auto r = start_thread(kImu, "gw-imu", plans.imu, &P::sense, kSilentNs); !r) return r;
   }
-  return threads_[kFeeder].start("gw-camera", plans.camera, [this] { feed(); });
+  return start_thread(kFeeder, "gw-camera", plans.camera, &P::feed, kSilentNs);
+}
+
+// Without anybody to abandon to, the join waits.
+void ThreadedPipeline::await_end(std::size_t index) {
+  constexpr const char* kThreadNames[kThreads] = {"gw-camera", "gw-tracker", "gw-mapper", "gw-detector", "gw-imu"};
+  if (!options_.abandon || !threads_[index].running()) return;
+  const rt::TimeNs give_up = rt::monotonic_now_ns() + kEndPatienceNs;
+  // Acquire, partner: the release store in start_thread().
+  while (!ended_[index].load(std::memory_order_acquire)) {
+    if (rt::monotonic_now_ns() > give_up) options_.abandon(kThreadNames[index]);
+    collector_wake_.wait_for(kSleepNs);
+  }
 }
 
 void ThreadedPipeline::join(PipelineCounters* counters) {
   constexpr const char* kNames[kThreads] = {"camera", "tracker", "mapper", "detector", "imu"};
   for (std::size_t i = 0; i < kThreads; ++i) {
+    await_end(i);
     threads_[i].join();
     if (threads_[i].stack_used() > 0) counters->threads.push_back({kNames[i], faults_[i], threads_[i].stack_used()});
   }
@@ -83,8 +132,11 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
   for (const rt::Thread& thread : threads_) {
     if (!thread.warning().empty()) refused.push_back(thread.warning());
   }
-  sink->started(refused);
+  if (options_.heartbeats != nullptr && newest_frame_) {
+    collector_pulse_ = options_.heartbeats->watch("main", kCollectorSilentNs);
+  }
   rt::Result<void> taken;
+  guarded([&] { sink->started(refused); });
   rt::TimeNs machine_due_ns = 0;
   while (true) {
     // Acquire, partner: the release store in track(). See tracker_done_.
@@ -92,23 +144,53 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
     FrameRecord record;
     while (collect_one(&record, all_done)) {
       count(record, &counters);
-      if (taken.ok()) taken = sink->take(record);
+      if (taken.ok()) {
+        const std::string thrown = guarded([&] { taken = sink->take(record); });
+        if (!thrown.empty()) taken = rt::Error{thrown};
+      }
       collected_.fetch_add(1, std::memory_order_relaxed);
       feeder_wake_.post();
     }
     rt::LogEntry event;
-    while (events_->take(&event)) sink->event(event);
+    while (events_->take(&event)) guarded([&] { sink->event(event); });
     if (all_done) break;
-    if (!taken.ok() || stop.load(std::memory_order_relaxed)) stop_.store(true, std::memory_order_relaxed);
-    if (options_.machine != nullptr && newest_frame_ && rt::monotonic_now_ns() >= machine_due_ns) {
-      machine_.write(options_.machine->read());
-      machine_due_ns = rt::monotonic_now_ns() + kMachineNs;
+    const bool told = stop.load(std::memory_order_relaxed) ||
+                      (options_.also_stop != nullptr && options_.also_stop->load(std::memory_order_relaxed));
+    if (!taken.ok() || told) stop_.store(true, std::memory_order_relaxed);
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    if (options_.machine != nullptr && newest_frame_ && now_ns >= machine_due_ns) {
+      guarded([&] { machine_.write(options_.machine->read()); });
+      machine_due_ns = now_ns + kMachineNs;
     }
+    look_after(sink, now_ns);
     collector_wake_.wait_for(kSleepNs);
   }
+  collector_pulse_.end();
   join(&counters);
   if (!taken.ok()) return taken.error();
   return counters;
+}
+
+void ThreadedPipeline::look_after(FrameSink* sink, rt::TimeNs now_ns) {
+  collector_pulse_.beat();
+  guarded([&] { sink->turn(now_ns); });
+  if (options_.heartbeats != nullptr) {
+    const rt::Heartbeats::Silent silent = options_.heartbeats->silent(now_ns);
+    if (silent.name != nullptr && silent.name != silent_thread_) {
+      guarded([&] {
+        sink->event({now_ns, rt::LogLevel::kWarning, "no sign of life of", silent.name, "for [s]",
+                     rt::to_seconds(silent.for_ns), 0});
+      });
+    } else if (silent.name == nullptr && silent_thread_ != nullptr) {
+      guarded([&] { sink->event({now_ns, rt::LogLevel::kInfo, "all threads live again"}); });
+    }
+    silent_thread_ = silent.name;
+  }
+  // Told to end, and it does not: the tracker ends after the camera, the others are looked at when they are joined.
+  if (!stop_.load(std::memory_order_relaxed) || !options_.abandon) return;
+  if (t_stop_ns_ == 0) t_stop_ns_ = now_ns;
+  if (now_ns - t_stop_ns_ <= kEndPatienceNs) return;
+  options_.abandon(ended_[kFeeder].load(std::memory_order_acquire) ? "gw-tracker" : "gw-camera");
 }
 
 bool ThreadedPipeline::feeder_may_read() const {
@@ -143,6 +225,7 @@ void ThreadedPipeline::feed() {
   const std::optional<rt::RtScope> real_time =
       camera_->real_time() ? std::optional<rt::RtScope>(std::in_place) : std::nullopt;
   while (!stop_.load(std::memory_order_relaxed)) {
+    pulses_[kFeeder].beat();
     if (!feeder_may_read()) {
       feeder_wake_.wait_for(kSleepNs);
       continue;
@@ -193,6 +276,7 @@ void ThreadedPipeline::sense() {
   hal::ImuStatus status = hal::ImuStatus::kTimeout;
   // Relaxed: nothing is ordered by it, it only ends the loop.
   while (status != hal::ImuStatus::kEnd && !feeder_done_.load(std::memory_order_relaxed)) {
+    pulses_[kImu].beat();
     hal::ImuSample sample;
     status = imu_.next(&sample, kImuWaitNs);
     if (status == hal::ImuStatus::kSample && !samples_->try_push(sample)) ++imu_.counters.dropped;
@@ -382,6 +466,7 @@ void ThreadedPipeline::track() {
     while (true) {
       // Acquire, partner: the release store in feed(). See feeder_done_.
       const bool last_look = feeder_done_.load(std::memory_order_acquire);
+      pulses_[kTracker].beat();
       rt::FrameHandle handle;
       if (!frames_.try_pop(&handle)) {
         if (last_look) break;
@@ -406,6 +491,7 @@ void ThreadedPipeline::map() {
   const rt::PageFaults before = rt::thread_page_faults();
   // What is left when the tracker has ended helps nobody any more.
   while (!tracker_done_.load(std::memory_order_acquire)) {
+    pulses_[kMapper].beat();
     const rt::RtScope real_time;
     if (stage_->map_step()) {
       mapper_cpu_ns_.store(rt::thread_cpu_now_ns(), std::memory_order_relaxed);
@@ -433,7 +519,9 @@ void ThreadedPipeline::detect() {
       detector_wake_.wait_for(kSleepNs);
       continue;
     }
-    const bool found = options_.detector->detect(job);
+    // Out of memory, or a library that gives up: there is no mask, and the flight goes on.
+    bool found = false;
+    guarded([&] { found = options_.detector->detect(job); });
     detector_return.give_back(job.frame.slot);
     // Never full: the scheduler gives no second order before the first has come back.
     const bool pushed = detections_.try_push({rt::monotonic_now_ns(), job.frame.meta.t_capture_ns, !found});

@@ -55,6 +55,10 @@ class ThreadedPipeline {
   enum class MasksState { kNone, kComing, kFailing };
 
   rt::Result<void> start();
+  rt::Result<void> start_thread(ThreadIndex index, const char* name, const rt::ThreadPlan& plan,
+                                void (ThreadedPipeline::*body)(), rt::TimeNs patience_ns);
+  void look_after(FrameSink* sink, rt::TimeNs now_ns);
+  void await_end(std::size_t index);
   void join(PipelineCounters* counters);
   void feed();
   void sense();
@@ -96,6 +100,14 @@ class ThreadedPipeline {
   std::array<rt::Thread, kThreads> threads_;
   /// Each written by the thread it is about, read after that one was joined.
   std::array<rt::PageFaults, kThreads> faults_{};
+
+  std::array<rt::Pulse, kThreads> pulses_;
+  /// Each thread -> collector: it has nothing left to do. Release at its end, acquire before the join.
+  std::array<std::atomic<bool>, kThreads> ended_{};
+  // Collector's own.
+  rt::TimeNs t_stop_ns_ = 0;             ///< when the run was told to end; 0: not yet
+  const char* silent_thread_ = nullptr;  ///< told to the log as silent
+  rt::Pulse collector_pulse_;
 
   /// Collector -> feeder: end early. Relaxed; nothing is ordered by it.
   std::atomic<bool> stop_{false};

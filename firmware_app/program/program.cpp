@@ -1,9 +1,11 @@
 #include "firmware_app/program/program.h"
 
 #include <csignal>
-#include <cstdio>
+#include <cstdlib>
 #include <exception>
+#include <string>
 
+#include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
@@ -12,6 +14,9 @@ namespace {
 // Written by the signal handler, read by the pipeline; lock-free, as a handler needs it.
 std::atomic<bool> stop{false};
 static_assert(std::atomic<bool>::is_always_lock_free);
+
+/// A reader of the log that takes longer is not waited for at the end.
+constexpr rt::TimeNs kLogPatienceNs = rt::kNsPerSecond;
 
 void on_signal(int /*signal*/) {
   stop.store(true, std::memory_order_relaxed);
@@ -23,14 +28,25 @@ int run_program(const char* name, int (*run)(int argc, char** argv, const std::a
                 char** argv) {
   std::signal(SIGINT, on_signal);
   std::signal(SIGTERM, on_signal);
-  // A file-size limit shall fail the write, which is told, not kill the process.
+  // A file-size limit shall fail the write, which is told, not kill the process. So shall a reader that goes away. A
+  // terminal that closes ends no flight.
   std::signal(SIGXFSZ, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGHUP, SIG_IGN);
+  int code = kExitFailed;
   try {
-    return run(argc, argv, stop);
+    code = run(argc, argv, stop);
   } catch (const std::exception& e) {  // std::bad_alloc, or a library that throws where it should not
-    std::fprintf(stderr, "%s: %s\n", name, e.what());
-    return kExitFailed;
+    error_log().put(std::string(name) + ": " + e.what());
   }
+  error_log().flush(kLogPatienceNs);
+  return code;
+}
+
+void end_without(const char* name, const char* thread, int code) {
+  error_log().put(std::string(name) + ": " + thread + " does not end: ending without it");
+  error_log().flush(kLogPatienceNs);
+  std::_Exit(code);
 }
 
 }  // namespace godwit::app

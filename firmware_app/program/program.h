@@ -6,8 +6,12 @@
 namespace godwit::app {
 
 /// Calls run with a flag that SIGINT and SIGTERM raise, and returns what it returns. An exception that comes out of it
-/// is told on the error stream under the program's name: kExitFailed. Once in a process.
+/// is told on the error stream under the program's name: kExitFailed. SIGHUP and SIGPIPE are ignored. Once in a
+/// process.
 int run_program(const char* name, int (*run)(int argc, char** argv, const std::atomic<bool>& stop), int argc,
                 char** argv);
+
+/// Ends the process at once, without waiting for a thread that does not end: told in a line under the program's name.
+[[noreturn]] void end_without(const char* name, const char* thread, int code);
 
 }  // namespace godwit::app

@@ -47,6 +47,8 @@ class Thread {
   /// Waits until body has returned.
   void join();
 
+  bool running() const { return running_; }  ///< started and not joined
+
   /// What of the plan the machine refused, in words; empty: nothing.
   const std::string& warning() const { return warning_; }
   /// Deepest that the stack was used so far [bytes]. Exact after join().

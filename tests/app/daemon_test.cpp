@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "hal/rt/time.h"
+#include "hal/rt/wake_up.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -81,12 +82,17 @@ class Daemon {
   }
   ~Daemon() {
     if (pid_ > 0) kill(pid_, SIGKILL), waitpid(pid_, nullptr, 0);
-    std::fclose(said_);
+    stop_reading();
   }
+  void stop_reading() {
+    if (said_ != nullptr) std::fclose(said_);
+    said_ = nullptr;
+  }
+  void signal(int signal) const { kill(pid_, signal); }
   /// Reads on until a line holds this. False: it ended before.
   bool says(const std::string& words) {
     std::array<char, 4096> line{};
-    while (std::fgets(line.data(), line.size(), said_) != nullptr) {
+    while (said_ != nullptr && std::fgets(line.data(), line.size(), said_) != nullptr) {
       all_ += line.data();
       if (std::string(line.data()).find(words) != std::string::npos) return true;
     }
@@ -135,6 +141,26 @@ TEST(Godwitd, SigtermEndsItCleanlyWithinHalfASecond) {
   }
   RecordProperty("ms", std::to_string(best / rt::kNsPerMs));
   EXPECT_LT(best, 500 * rt::kNsPerMs);
+}
+
+TEST(Godwitd, NobodyReadsTheLogAndItFliesOn) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder, kSmallFlight + "[can]\nbus = \"multicast:9:127.0.0.1\"\nnode_id = 43\n"));
+  ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+  daemon.stop_reading();
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 2 * rt::kNsPerSecond);
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0) << "neither killed by a signal nor failed";
+}
+
+TEST(Godwitd, ATerminalThatClosesEndsNoFlight) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder, kSmallFlight));
+  ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+  daemon.signal(SIGHUP);
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 300 * rt::kNsPerMs);
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
 
 TEST(Godwitd, SigtermEndsItWhilePicturesAreRendered) {

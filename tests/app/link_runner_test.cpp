@@ -14,6 +14,15 @@ class LinkRunnerTest : public ::testing::Test {
     LinkRunnerOptions options;
     options.settings.can = "multicast:7:127.0.0.1";
     options.settings.link.identity.unique_id = link::dronecan::unique_id_from("link_runner_test");
+    options.heartbeats = &heartbeats_;
+    options.settings.link.heartbeats = &heartbeats_;
+    options.log = [this](LinkLogLevel, const std::string&) {
+      while (log_hangs_.load()) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    };
+    options.abandon = [this](const char* thread) {
+      abandoned_ = thread;
+      log_hangs_.store(false);
+    };
     auto started = LinkRunner::start(options, user_stop_);
     ASSERT_TRUE(started.ok()) << started.error().message;
     runner_ = std::move(started).value();
@@ -36,6 +45,9 @@ class LinkRunnerTest : public ::testing::Test {
   link::dronecan::NodeCondition last_condition() { return runner_->finish().condition; }
 
   std::atomic<bool> user_stop_{false};
+  std::atomic<bool> log_hangs_{false};
+  std::string abandoned_;
+  rt::Heartbeats heartbeats_;
   std::unique_ptr<LinkRunner> runner_;
 };
 
@@ -63,6 +75,32 @@ TEST_F(LinkRunnerTest, SensorAndDetectorAreNamedAndAreNoErrorOfTheirs) {
   EXPECT_EQ(condition.reasons & (link::kImuFailed | link::kDetectorFailed), link::kImuFailed | link::kDetectorFailed);
   EXPECT_EQ(condition.reasons & link::kPoseStalled, 0);
   EXPECT_EQ(condition.health, link::dronecan::NodeHealth::kOk);
+}
+
+TEST_F(LinkRunnerTest, AThreadThatFellSilentIsAFailureOfTheProcess) {
+  rt::Pulse mapper = heartbeats_.watch("gw-mapper", 100 * rt::kNsPerMs);
+  for (int i = 0; i < 40; ++i) frame();
+  const auto condition = last_condition();
+  EXPECT_EQ(condition.reasons & (link::kProcessFailed | link::kPoseStalled), link::kProcessFailed);
+  EXPECT_EQ(condition.health, link::dronecan::NodeHealth::kError);
+  mapper.end();
+}
+
+TEST_F(LinkRunnerTest, AKeeperThatHangsIsNamedAndKeepsNoEndAway) {
+  log_hangs_.store(true);
+  runner_->ask_for_words();
+  const rt::TimeNs begin = rt::monotonic_now_ns();
+  while (heartbeats_.silent(rt::monotonic_now_ns()).name == nullptr &&
+         rt::monotonic_now_ns() - begin < 20 * rt::kNsPerSecond) {
+    frame();
+  }
+  EXPECT_STREQ(heartbeats_.silent(rt::monotonic_now_ns()).name, "gw-link-keep");
+  user_stop_.store(true);
+  while (!runner_->stop().load() && rt::monotonic_now_ns() - begin < 30 * rt::kNsPerSecond) frame();
+  EXPECT_TRUE(runner_->stop().load());
+  const auto condition = last_condition();
+  EXPECT_EQ(abandoned_, "gw-link-keep");
+  EXPECT_EQ(condition.reasons & link::kProcessFailed, link::kProcessFailed);
 }
 
 TEST_F(LinkRunnerTest, AfterASilenceTheReasonsGo) {

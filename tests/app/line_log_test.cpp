@@ -1,0 +1,91 @@
+// A log whose reader is slow, stuck or gone.
+#include "firmware_app/output/line_log.h"
+
+#include <csignal>
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <string>
+#include <unistd.h>
+
+#include "hal/rt/wake_up.h"
+
+namespace godwit::app {
+namespace {
+
+struct Pipe {
+  Pipe() { EXPECT_EQ(pipe(end), 0); }
+  ~Pipe() {
+    close_reader();
+    close(end[1]);
+  }
+  void close_reader() {
+    if (end[0] >= 0) close(end[0]);
+    end[0] = -1;
+  }
+  std::string read_some() {
+    std::string out(1 << 16, '\0');
+    const ssize_t n = read(end[0], out.data(), out.size());
+    out.resize(n > 0 ? static_cast<std::size_t>(n) : 0);
+    return out;
+  }
+  int end[2] = {-1, -1};
+};
+
+TEST(LineLog, LinesComeWholeAndInOrder) {
+  Pipe pipe;
+  LineLog log(pipe.end[1]);
+  for (int i = 0; i < 100; ++i) log.put("line " + std::to_string(i));
+  ASSERT_TRUE(log.flush(10 * rt::kNsPerSecond));
+  std::string expected;
+  for (int i = 0; i < 100; ++i) expected += "line " + std::to_string(i) + "\n";
+  EXPECT_EQ(pipe.read_some(), expected);
+  EXPECT_EQ(log.lost(), 0u);
+}
+
+TEST(LineLog, AStuckReaderCostsLinesAndNobodyWaits) {
+  Pipe pipe;
+  fcntl(pipe.end[1], F_SETPIPE_SZ, 4096);
+  LineLog log(pipe.end[1]);
+  const std::string line(200, 'x');
+  for (int i = 0; i < 3000; ++i) log.put(line);  // would hang here
+  EXPECT_FALSE(log.flush(rt::kNsPerMs));
+  EXPECT_GE(log.lost(), 1900u);
+  // Read again: the rest comes, and how many were lost.
+  std::string said;
+  while (!log.flush(rt::kNsPerMs)) said += pipe.read_some();
+  log.put("after");
+  ASSERT_TRUE(log.flush(10 * rt::kNsPerSecond));
+  said += pipe.read_some();
+  EXPECT_NE(said.find(" lines of the log were lost before this one\n"), std::string::npos);
+  EXPECT_NE(said.find("after\n"), std::string::npos);
+}
+
+TEST(LineLog, AReaderThatIsGoneIsNoEnd) {
+  std::signal(SIGPIPE, SIG_IGN);
+  Pipe pipe;
+  LineLog log(pipe.end[1]);
+  pipe.close_reader();
+  for (int i = 0; i < 10; ++i) log.put("nobody hears this");
+  EXPECT_TRUE(log.flush(10 * rt::kNsPerSecond));
+  EXPECT_EQ(log.lost(), 10u);
+}
+
+// The writing thread hangs while the log is taken down; for the sanitizers.
+TEST(LineLog, AHangingWriterIsLeftBehind) {
+  Pipe pipe;
+  fcntl(pipe.end[1], F_SETPIPE_SZ, 4096);
+  {
+    LineLog log(pipe.end[1]);
+    for (int i = 0; i < 100; ++i) log.put(std::string(200, 'x'));
+    EXPECT_FALSE(log.flush(rt::kNsPerMs));
+  }
+  // Lets it run to its end before the pipe goes.
+  fcntl(pipe.end[0], F_SETFL, O_NONBLOCK);
+  for (int i = 0; i < 50; ++i) {
+    pipe.read_some();
+    rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+  }
+}
+
+}  // namespace
+}  // namespace godwit::app
