@@ -11,7 +11,8 @@ namespace godwit::rt {
 
 class Heartbeats;
 
-/// One thread's side. Empty: beats are nobody's. beat() is for any thread under real-time rules: no allocation, no lock.
+/// One thread's side. Empty: beats are nobody's. beat() is for any thread under real-time rules: no allocation, no
+/// lock.
 class Pulse {
  public:
   Pulse() = default;
