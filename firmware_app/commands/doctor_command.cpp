@@ -7,6 +7,7 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/doctor_autopilot.h"
 #include "firmware_app/commands/doctor_detector.h"
+#include "firmware_app/commands/doctor_power.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/program/exit_code.h"
@@ -54,6 +55,7 @@ int run_doctor(const DoctorArguments& a, const std::atomic<bool>& stop) {
   examine_detector(config, known ? camera.calibration.width : 640, known ? camera.calibration.height : 480,
                    camera.calibration.fps, &report);
   examine_imu("/", &report);
+  examine_power("/", &report);
   if (config.can.bus.empty()) {
     report.note("bus: none is configured (can.bus)");
   } else {
