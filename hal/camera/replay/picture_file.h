@@ -5,6 +5,7 @@
 #include <span>
 #include <string>
 
+#include "hal/camera/replay/picture_codec.h"
 #include "hal/rt/image.h"
 #include "hal/rt/result.h"
 
@@ -13,16 +14,11 @@ namespace godwit::hal {
 /// Decodes picture files with buffers kept from call to call. One thread.
 class PictureDecoder {
  public:
-  PictureDecoder();
-  ~PictureDecoder();
-  PictureDecoder(const PictureDecoder&) = delete;
-  PictureDecoder& operator=(const PictureDecoder&) = delete;
-
-  /// Reads and decodes; width() and height() are valid after success. Any picture of 8 bits a channel with 1, 3 or 4
-  /// channels. Error: missing, unreadable, empty, not a picture, cut off, or of another depth; names the file.
+  /// Reads and decodes; width() and height() are valid after success. JPEG and PNG of 8 bits a channel, grey or colour.
+  /// Error: missing, unreadable, empty, not a picture, cut off, too large or of another depth; names the file.
   rt::Result<void> load(const std::string& file);
-  int width() const;
-  int height() const;
+  int width() const { return picture_.width; }
+  int height() const { return picture_.height; }
 
   /// Writes the loaded picture as grey; 0.299 R + 0.587 G + 0.114 B from colour. Precondition: the sizes are equal.
   void write_grey(const rt::MutableImageView& grey) const;
@@ -30,8 +26,7 @@ class PictureDecoder {
   void write_bgr(std::uint8_t* bgr) const;
 
  private:
-  struct Impl;
-  Impl* impl_;
+  DecodedPicture picture_;
 };
 
 /// The file's end is there: JPEG ends with its end marker, PNG with its IEND chunk. Decoders fill in what is missing
