@@ -19,11 +19,18 @@ endforeach()
 if(GODWIT_BUILD_APP)
   set(JPEG_LIBRARY ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/libjpeg.a CACHE FILEPATH "Linked statically")
   set(JPEG_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Folder that holds jpeglib.h")
+  # OpenCV's package names it and does not look for it.
+  add_library(protobuf::libprotobuf STATIC IMPORTED)
+  set_target_properties(protobuf::libprotobuf PROPERTIES
+                        IMPORTED_LOCATION ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/libprotobuf.a)
   execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/sysroot devices OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
                   COMMAND_ERROR_IS_FATAL ANY)
   list(APPEND CMAKE_FIND_ROOT_PATH ${folder})
   set(ENV{PKG_CONFIG_LIBDIR} ${folder}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/pkgconfig)
   set(ENV{PKG_CONFIG_SYSROOT_DIR} ${folder})
+  set(CMAKE_CROSSCOMPILING_EMULATOR ${CMAKE_CROSSCOMPILING_EMULATOR} -E
+      LD_LIBRARY_PATH=${folder}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}:${folder}/lib/${CMAKE_LIBRARY_ARCHITECTURE})
+  set(GODWIT_EMULATOR "${CMAKE_CROSSCOMPILING_EMULATOR}" CACHE INTERNAL "What runs the target's programs, for tests/package")
   # What these libraries want in turn is on the target, not here.
   add_link_options(-Wl,--unresolved-symbols=ignore-in-shared-libs)
   message(STATUS "OpenCV for the target: looking, and building it if it is not there (a quarter of an hour or more, once)")

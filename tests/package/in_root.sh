@@ -1,0 +1,56 @@
+#!/bin/sh
+# Runs inside an empty Debian, as root: install, fly, start the daemon, upgrade, roll back, remove, purge.
+#   in_root.sh FOLDER INSTALL..   FOLDER holds old/, new/ (packages of two versions); INSTALL is what installs files
+set -eu
+folder=$1
+shift
+say() { echo "in_root: $*"; }
+fail() { echo "in_root: FAILED: $*"; exit 1; }
+version() { dpkg-query -W -f '${Version}' godwit; }
+config=/etc/godwit/godwit.toml
+old=$(dpkg-deb -f "$(ls "$folder"/old/godwit_*.deb)" Version)
+new=$(dpkg-deb -f "$(ls "$folder"/new/godwit_*.deb)" Version)
+command -v cc g++ gcc && fail "there is a compiler: this is no clean machine"
+
+"$@" "$folder"/old/*.deb
+[ "$(version)" = "$old" ] || fail "version $(version), expected $old"
+say "installed $old"
+
+cd /tmp
+godwit fly street --frames 2 --detector on --out /tmp/flown >/tmp/fly.log 2>&1 || { cat /tmp/fly.log; fail "godwit fly"; }
+[ -s /tmp/flown/summary.json ] || fail "godwit fly wrote no summary.json"
+say "godwit fly street, with the network: summary.json is there"
+
+# The daemon in the foreground: it flies the simulated camera until it is told to end.
+printf '[camera]\nsource = "sim"\nscenario = "street"\npictures = 2\n[detector]\nenabled = false\n' >/tmp/sim.toml
+godwitd --config /tmp/sim.toml >/tmp/daemon.log 2>&1 &
+pid=$!
+tries=0
+while ! grep -q . /tmp/daemon.log && [ $tries -lt 120 ]; do sleep 1; tries=$((tries + 1)); done
+sleep 5
+kill -0 $pid 2>/dev/null || { cat /tmp/daemon.log; fail "godwitd did not stay"; }
+kill -TERM $pid
+code=0
+wait $pid || code=$?
+[ $code = 0 ] || [ $code = 130 ] || { cat /tmp/daemon.log; fail "godwitd ended with $code"; }
+say "godwitd flew and ended on SIGTERM: $(tail -n 1 /tmp/daemon.log)"
+
+echo '# changed by hand' >>$config
+"$@" "$folder"/new/*.deb
+[ "$(version)" = "$new" ] || fail "upgrade: version $(version), expected $new"
+grep -q 'changed by hand' $config || fail "the upgrade has overwritten $config"
+say "upgraded to $new, $config kept"
+
+"$@" "$folder"/old/*.deb
+[ "$(version)" = "$old" ] || fail "roll back: version $(version), expected $old"
+grep -q 'changed by hand' $config || fail "the roll back has overwritten $config"
+say "rolled back to $old, $config kept"
+
+mkdir -p /var/lib/godwit && touch /var/lib/godwit/parameters
+dpkg --remove godwit >/dev/null
+[ ! -e /usr/bin/godwitd ] && [ -e $config ] && [ -e /var/lib/godwit/parameters ] || fail "removed: programs must go, $config and state stay"
+say "removed"
+dpkg --purge godwit godwit-models >/dev/null
+left=$(ls -d $config /var/lib/godwit /usr/share/godwit /usr/share/doc/godwit 2>/dev/null || true)
+[ -z "$left" ] || fail "purged, and something is left: $left"
+say "purged; nothing is left"

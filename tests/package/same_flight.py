@@ -1,0 +1,54 @@
+#!/usr/bin/python3
+"""Flies the same scenarios with the programs of both packages' builds and compares how far they are off.
+
+  same_flight.py [--frames N] [--detector] BUILD_AMD64 BUILD_ARM64 [SCENARIO..]
+
+arm64 runs under qemu. Both fly in one thread (--sequential), so that nothing depends on speed. Fails where arm64's ATE is
+more than a tenth above amd64's, or where it tracks fewer than 0.98 of its frames. Without SCENARIO: street, night, corridor.
+"""
+import argparse
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+
+
+def emulator(build):
+    """As the toolchain wrote it down; empty for this machine's own programs."""
+    found = re.search(r'^GODWIT_EMULATOR:\w+=(.*)$', (build / 'CMakeCache.txt').read_text(encoding='utf-8'), re.M)
+    return found.group(1).split(';') if found else []
+
+
+def fly(build, scenario, frames, detector, out):
+    subprocess.run([*emulator(build), build / 'firmware_app/godwit', 'fly', scenario, '--sequential', '--frames', str(frames),
+                    '--detector', 'on' if detector else 'off', '--out', out], check=True, capture_output=True)
+    said = subprocess.run(['/usr/bin/python3', SOURCE / 'scripts/evaluate', out / 'groundtruth.txt', out, '--json'], check=True,
+                          capture_output=True, text=True).stdout
+    return json.loads(said)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--frames', type=int, default=300)
+    parser.add_argument('--detector', action='store_true')
+    parser.add_argument('builds', nargs=2, type=pathlib.Path)
+    parser.add_argument('scenarios', nargs='*')
+    a = parser.parse_args()
+    failed = 0
+    for scenario in a.scenarios or ['street', 'night', 'corridor']:
+        with tempfile.TemporaryDirectory(prefix='godwit_same.') as folder:
+            amd64, arm64 = (fly(build, scenario, a.frames, a.detector, pathlib.Path(folder) / str(number))
+                            for number, build in enumerate(a.builds))
+        good = arm64['ate_m'] <= 1.1 * amd64['ate_m'] and arm64['tracked_share'] >= 0.98 * amd64['tracked_share']
+        failed |= not good
+        print(f'{scenario}, {a.frames} frames: ATE {amd64["ate_m"]:.5f} m on amd64, {arm64["ate_m"]:.5f} m on arm64; '
+              f'tracked {amd64["tracked_share"]:.3f}, {arm64["tracked_share"]:.3f}' + ('' if good else '  FAILED'))
+    return failed
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,92 @@
+# The Debian packages, by cpack: godwit (programs, unit, configuration, manual, scenarios) and godwit-models (the networks,
+# which are under another licence). What is installed where is in install.cmake; scripts/package builds both for arm64 and amd64.
+set(deb ${PROJECT_SOURCE_DIR}/toolchain/deb)
+set(made ${PROJECT_BINARY_DIR}/deb)
+file(MAKE_DIRECTORY ${made})
+if(CMAKE_SYSTEM_PROCESSOR MATCHES "aarch64")
+  set(architecture arm64)
+else()
+  set(architecture amd64)
+endif()
+
+set(GODWIT_MAINTAINER "godwit maintainers <maintainers@godwit.invalid>" CACHE STRING "Whom the packages name")
+
+# Documents that every package must have.
+execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/sbom --version ${PROJECT_VERSION} --architecture ${architecture}
+                        --out ${made}/godwit.spdx.json COMMAND_ERROR_IS_FATAL ANY)
+configure_file(${deb}/changelog.in ${made}/changelog @ONLY)
+execute_process(COMMAND gzip -9nkf ${made}/changelog COMMAND_ERROR_IS_FATAL ANY)
+file(RENAME ${made}/changelog.gz ${made}/changelog.Debian.gz)
+install(FILES ${made}/changelog.Debian.gz ${made}/godwit.spdx.json ${deb}/copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit
+        COMPONENT programs)
+install(FILES ${made}/changelog.Debian.gz DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models COMPONENT models)
+install(FILES ${deb}/copyright_models DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models RENAME copyright COMPONENT models)
+if(architecture STREQUAL "arm64")
+  install(FILES ${deb}/lintian_overrides DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME godwit COMPONENT programs)
+endif()
+# After the rules of firmware_app, which put the pages there.
+install(CODE "file(GLOB pages \"\$ENV{DESTDIR}${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_MANDIR}/man*/*.[1-9]\")
+execute_process(COMMAND gzip -9nf \${pages} COMMAND_ERROR_IS_FATAL ANY)" COMPONENT programs)
+
+# What dpkg runs, and the files that it asks about before it overwrites them.
+set(control ${deb}/postinst ${deb}/prerm ${deb}/postrm)
+file(WRITE ${made}/conffiles "/etc/godwit/godwit.toml\n")
+list(APPEND control ${made}/conffiles)
+if(GODWIT_MARCH MATCHES "fp16")
+  configure_file(${deb}/preinst_jetson ${made}/preinst COPYONLY)
+  list(APPEND control ${made}/preinst)
+endif()
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME godwit)
+set(CPACK_PACKAGE_VERSION ${PROJECT_VERSION})
+set(CPACK_PACKAGE_DIRECTORY ${PROJECT_BINARY_DIR}/packages)
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+# /etc is not below /usr.
+set(CPACK_SET_DESTDIR ON)
+set(CPACK_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_COMPONENTS_GROUPING ONE_PER_GROUP)
+set(CPACK_COMPONENTS_ALL programs scenarios models)
+set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
+    OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
+set(CPACK_DEBIAN_PACKAGE_MAINTAINER "${GODWIT_MAINTAINER}")
+set(CPACK_DEBIAN_PACKAGE_RELEASE 1)
+set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE ${architecture})
+set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_NAME godwit)
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_SECTION misc)
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_PRIORITY optional)
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_CONTROL_EXTRA ${control})
+set(CPACK_DEBIAN_PROGRAMS_DESCRIPTION "visual navigation where satellites are not heard
+A camera frame goes in; a few milliseconds later a pose with its uncertainty
+goes out to the autopilot. The daemon godwitd flies; the tool godwit replays,
+simulates and looks at the machine.")
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_RECOMMENDS "godwit-models")
+if(architecture STREQUAL "arm64")
+  # There is no dpkg-shlibdeps for another architecture: this file asks toolchain/deb/depends, when cpack runs.
+  file(WRITE ${made}/depends.cmake "execute_process(COMMAND ${deb}/depends
+  ${PROJECT_BINARY_DIR}/firmware_app/godwit ${PROJECT_BINARY_DIR}/firmware_app/godwitd
+  OUTPUT_VARIABLE CPACK_DEBIAN_PROGRAMS_PACKAGE_DEPENDS OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)\n")
+  set(CPACK_PROJECT_CONFIG_FILE ${made}/depends.cmake)
+else()
+  set(CPACK_DEBIAN_PROGRAMS_PACKAGE_SHLIBDEPS ON)
+endif()
+
+set(CPACK_DEBIAN_MODELS_PACKAGE_NAME godwit-models)
+set(CPACK_DEBIAN_MODELS_PACKAGE_ARCHITECTURE all)
+set(CPACK_DEBIAN_MODELS_PACKAGE_SECTION misc)
+set(CPACK_DEBIAN_MODELS_PACKAGE_PRIORITY optional)
+set(CPACK_DEBIAN_MODELS_DESCRIPTION "networks by which godwit finds what may move
+Two CBAM-YOLOv5 networks in ONNX, of 320 and 416 pixels. Their licence is
+another one than that of the programs.")
+include(CPack)
+cpack_add_component_group(programs)
+cpack_add_component_group(models)
+cpack_add_component(programs GROUP programs)
+cpack_add_component(scenarios GROUP programs)
+cpack_add_component(models GROUP models)
