@@ -17,8 +17,14 @@ foreach(package fmt tomlplusplus yaml-cpp)
   set(${package}_DIR ${CMAKE_CURRENT_LIST_DIR} CACHE PATH "CMake package of the cross build")
 endforeach()
 if(GODWIT_BUILD_APP)
-  set(JPEG_LIBRARY ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/libjpeg.a CACHE FILEPATH "Linked statically")
-  set(JPEG_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Folder that holds jpeglib.h")
+  # Linked statically: their packages have other names on Ubuntu.
+  foreach(name JPEG PNG ZLIB)
+    string(REPLACE ZLIB z library ${name})
+    string(TOLOWER ${library} library)
+    set(${name}_LIBRARY ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/lib${library}.a CACHE FILEPATH "Linked statically")
+    set(${name}_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Of the sysroot")
+  endforeach()
+  set(PNG_PNG_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Of the sysroot")
   # OpenCV's package names it and does not look for it.
   add_library(protobuf::libprotobuf STATIC IMPORTED)
   set_target_properties(protobuf::libprotobuf PROPERTIES
@@ -33,8 +39,13 @@ if(GODWIT_BUILD_APP)
   set(GODWIT_EMULATOR "${CMAKE_CROSSCOMPILING_EMULATOR}" CACHE INTERNAL "What runs the target's programs, for tests/package")
   # What these libraries want in turn is on the target, not here.
   add_link_options(-Wl,--unresolved-symbols=ignore-in-shared-libs)
-  message(STATUS "OpenCV for the target: looking, and building it if it is not there (a quarter of an hour or more, once)")
-  execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/opencv OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
-                  COMMAND_ERROR_IS_FATAL ANY)
+  set(GODWIT_OPENCV "" CACHE PATH "An OpenCV for the target in place of toolchain/opencv's, such as one with CUDA")
+  if(GODWIT_OPENCV)
+    set(folder ${GODWIT_OPENCV})
+  else()
+    message(STATUS "OpenCV for the target: building it if it is not there (ten minutes of processor time, once)")
+    execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/opencv OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
+                    COMMAND_ERROR_IS_FATAL ANY)
+  endif()
   set(OpenCV_DIR ${folder}/lib/cmake/opencv4 CACHE PATH "OpenCV's CMake package" FORCE)
 endif()
