@@ -33,10 +33,19 @@ struct Config {
 
   /// Where godwitd's pictures come from; the tool's commands bring their own.
   struct Camera {
-    enum class Source { kNone, kSim };
+    enum class Source { kNone, kSim, kV4l2 };
+    enum class Stamp { kFlags, kStart, kEnd };
     Source source = Source::kNone;
-    std::string scenario = "street";  ///< sim: name or file
-    std::string scenarios;            ///< sim: where names are looked up; empty: those that come with godwit
+    std::string calibration;             ///< devices: camera.yaml, sensor.yaml, ..
+    std::string device = "/dev/video0";  ///< v4l2: path, by-id:NAME or serial:NUMBER
+    std::string format;                  ///< v4l2: name of a pixel format; empty: the first that the device has
+    double fps = 0;                      ///< devices: 0: the calibration's, or else as the device is set
+    int shift = -1;                      ///< v4l2, 10 and 16 bits: bits to drop; -1: by the format
+    std::string controls;                ///< v4l2: "name=value, .."
+    Stamp stamp = Stamp::kFlags;         ///< v4l2: what the device's stamps mark
+    double exposure_ms = 0;              ///< v4l2: where the device does not say
+    std::string scenario = "street";     ///< sim: name or file
+    std::string scenarios;               ///< sim: where names are looked up; empty: those that come with godwit
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;
@@ -59,7 +68,16 @@ struct Config {
   } gate;
 
   struct Imu {
-    double silent_s = 0.5;  ///< an IMU of which nothing is newer is called silent
+    enum class Source { kNone, kMpu6000, kIio };
+    Source source = Source::kNone;
+    std::string device = "/dev/spidev0.0";  ///< mpu6000: path; iio: name or id
+    std::string accel_device;               ///< iio: where acceleration has a device of its own
+    int rate_hz = 200;
+    int gyro_range_deg_s = 500;  ///< mpu6000
+    int accel_range_g = 8;       ///< mpu6000
+    std::string axes = "x y z";  ///< the sensor's axes that point forward, right and down
+    bool self_test = false;      ///< mpu6000
+    double silent_s = 0.5;       ///< an IMU of which nothing is newer is called silent
   } imu;
 
   /// The CAN bus, and godwit as a DroneCAN node on it.

@@ -17,6 +17,32 @@ void add_thread(const std::string& section, rt::ThreadPlan* plan, std::vector<Ke
   to->push_back(keys::whole(section + ".priority", 0, kHighestPriority, &plan->priority));
 }
 
+void add_camera_device(Config* c, std::vector<Key>* to) {
+  using Stamp = Config::Camera::Stamp;
+  to->push_back(keys::text("camera.calibration", kLongestPath, "a file", &c->camera.calibration));
+  to->push_back(keys::text("camera.device", kLongestPath, "a path, by-id:NAME or serial:NUMBER", &c->camera.device));
+  to->push_back(keys::text("camera.format", 4, "a pixel format", &c->camera.format));
+  to->push_back(keys::number("camera.fps", 0, 1000, "Hz", &c->camera.fps));
+  to->push_back(keys::whole("camera.shift", -1, 12, &c->camera.shift));
+  to->push_back(keys::text("camera.controls", 1024, "NAME=NUMBER, ..", &c->camera.controls));
+  to->push_back(keys::choice<Stamp>(
+      "camera.stamp", {{"flags", Stamp::kFlags}, {"start", Stamp::kStart}, {"end", Stamp::kEnd}}, &c->camera.stamp));
+  to->push_back(keys::number("camera.exposure_ms", 0, 1000, "ms", &c->camera.exposure_ms));
+}
+
+void add_imu(Config* c, std::vector<Key>* to) {
+  using Source = Config::Imu::Source;
+  to->push_back(keys::choice<Source>(
+      "imu.source", {{"none", Source::kNone}, {"mpu6000", Source::kMpu6000}, {"iio", Source::kIio}}, &c->imu.source));
+  to->push_back(keys::text("imu.device", kLongestPath, "a path or a name", &c->imu.device));
+  to->push_back(keys::text("imu.accel_device", kLongestPath, "a name", &c->imu.accel_device));
+  to->push_back(keys::whole("imu.rate_hz", 10, 1000, &c->imu.rate_hz));
+  to->push_back(keys::whole("imu.gyro_range_deg_s", 250, 2000, &c->imu.gyro_range_deg_s));
+  to->push_back(keys::whole("imu.accel_range_g", 2, 16, &c->imu.accel_range_g));
+  to->push_back(keys::text("imu.axes", 16, "three axes such as x -y -z", &c->imu.axes));
+  to->push_back(keys::flag("imu.self_test", &c->imu.self_test));
+}
+
 void add_movers(Config* c, std::vector<Key>* to) {
   using Backend = detector::Backend;
   to->push_back(keys::flag("detector.enabled", &c->detector.enabled));
@@ -86,7 +112,9 @@ std::vector<Key> config_keys(Config* c) {
            keys::number("scheduler.temperature_c", 30, 120, "degrees C", &c->scheduler.temperature_c),
            keys::number("scheduler.calm_s", 1, 600, "s", &c->scheduler.calm_s),
 
-           keys::choice<Source>("camera.source", {{"none", Source::kNone}, {"sim", Source::kSim}}, &c->camera.source),
+           keys::choice<Source>("camera.source",
+                                {{"none", Source::kNone}, {"sim", Source::kSim}, {"v4l2", Source::kV4l2}},
+                                &c->camera.source),
            keys::text("camera.scenario", kLongestPath, "a scenario's name or file", &c->camera.scenario),
            keys::text("camera.scenarios", kLongestPath, "a folder", &c->camera.scenarios),
            keys::whole<std::uint64_t>("camera.seed", 0, 1'000'000'000, &c->camera.seed),
@@ -94,7 +122,9 @@ std::vector<Key> config_keys(Config* c) {
        }) {
     out.push_back(std::move(key));
   }
+  add_camera_device(c, &out);
   add_movers(c, &out);
+  add_imu(c, &out);
   out.push_back(keys::number("imu.silent_s", 0.02, 10, "s", &c->imu.silent_s));
   add_link(c, &out);
   return out;

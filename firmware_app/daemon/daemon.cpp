@@ -6,6 +6,7 @@
 
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/event_line.h"
@@ -62,6 +63,15 @@ struct Source {
   hal::CameraCalibration calibration;
 };
 
+rt::Result<Source> open_device(const Config::Camera& config) {
+  auto opened = open_camera(config, say);
+  if (!opened) return opened.error();
+  Source out;
+  out.camera = std::move(opened.value().camera);
+  out.calibration = opened.value().calibration;
+  return out;
+}
+
 rt::Result<Source> open_sim(const Config::Camera& config, const std::atomic<bool>& stop) {
   const auto scenario = sim::find_scenario(config.scenario, scenario_folder(config.scenarios));
   if (!scenario) return scenario.error();
@@ -87,6 +97,10 @@ void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
     say(fmt::format("detector: {} detections, {} failed, {} late, {} times hung", s.detections, s.detections_failed,
                     s.detections_late, s.detector_stuck));
   }
+  if (c.imu) {
+    say(fmt::format("IMU: {} samples, {} gaps, {} faults, {} implausible, {} dropped, {} silences", c.imu->samples,
+                    c.imu->gaps, c.imu->faults, c.imu->implausible, c.imu->dropped, c.imu->silences));
+  }
   for (const ThreadReport& t : c.threads) {
     say(fmt::format("thread {}: {} minor and {} major page faults, {} kB of stack", t.name, t.faults.minor,
                     t.faults.major, t.stack_used / 1024));
@@ -96,7 +110,8 @@ void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
 }  // namespace
 
 int run_daemon(const Config& config, const std::atomic<bool>& stop) {
-  auto source = open_sim(config.camera, stop);
+  const bool simulated = config.camera.source == Config::Camera::Source::kSim;
+  auto source = simulated ? open_sim(config.camera, stop) : open_device(config.camera);
   if (stop.load(std::memory_order_relaxed)) return kExitDone;
   if (!source) return give_up(source.error().message);
   const hal::CameraCalibration& calibration = source.value().calibration;
@@ -115,6 +130,9 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   options.machine = &machine;
   parts.plan_detector(&options);
   plan_pipeline(config, calibration.fps, &options);
+  auto imu = open_imu(config.imu, say);
+  if (!imu) return give_up(imu.error().message);
+  options.imu = imu.value().get();
   const auto log = [](LinkLogLevel level, const std::string& text) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };

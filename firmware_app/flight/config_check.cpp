@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "firmware_app/config/link_settings.h"
+#include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/model_files.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
@@ -61,6 +62,7 @@ void check_on_this_machine(ConfigReport* report) {
                                                 std::to_string(odometry_frame_slots_min()) + " are allowed");
   }
   check_scenario(report);
+  check_devices(report);
   if (c.detector.enabled) {
     check_model_files(c.detector,
                       [report](const std::string& key, const std::string& why) { report->mistake(key, why); });
@@ -72,7 +74,7 @@ void check_on_this_machine(ConfigReport* report) {
 void check_for_daemon(ConfigReport* report) {
   check_on_this_machine(report);
   if (report->config.camera.source == Config::Camera::Source::kNone)
-    report->mistake("camera.source", "a daemon needs a camera; \"sim\" is allowed");
+    report->mistake("camera.source", "a daemon needs a camera; \"v4l2\" or \"sim\" is allowed");
   if (report->config.link.bench_metric) {
     report->mistake("link.bench_metric",
                     "in flight an autopilot would take lengths of unknown scale for metres; only false "

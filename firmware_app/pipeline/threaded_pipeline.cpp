@@ -152,7 +152,10 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
       feeder_wake_.post();
     }
     rt::LogEntry event;
-    while (events_->take(&event)) guarded([&] { sink->event(event); });
+    for (rt::LogRing* const ring :
+         {events_.get(), camera_->events(), options_.imu != nullptr ? options_.imu->events() : nullptr}) {
+      while (ring != nullptr && ring->take(&event)) guarded([&] { sink->event(event); });
+    }
     if (all_done) break;
     const bool told = stop.load(std::memory_order_relaxed) ||
                       (options_.also_stop != nullptr && options_.also_stop->load(std::memory_order_relaxed));

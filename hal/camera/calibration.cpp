@@ -1,117 +1,20 @@
 #include "hal/camera/calibration.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 #include <yaml-cpp/yaml.h>
 
+#include "hal/camera/calibration_reader.h"
 #include "hal/rt/image.h"
 
 namespace godwit::hal {
 namespace {
 
-constexpr int kMinImageSide = 64;  ///< below it no pyramid level above 0 holds a patch
-
-/// A mistake in the file, thrown to the wall in parse_calibration (yaml-cpp throws there as well).
-struct Mistake {
-  std::string message;
-};
-
-class Reader {
- public:
-  Reader(const YAML::Node& root, std::string name) : root_(root), name_(std::move(name)) {}
-
-  [[noreturn]] void fail(const std::string& key, const std::string& reason) const {
-    const YAML::Node node = root_[key];
-    const std::string where = node && node.Mark().line >= 0 ? ":" + std::to_string(node.Mark().line + 1) : "";
-    throw Mistake{name_ + where + ": " + key + ": " + reason};
-  }
-  bool has(const std::string& key) const { return static_cast<bool>(root_[key]); }
-  YAML::Node need(const std::string& key) const {
-    if (!has(key)) throw Mistake{name_ + ": " + key + " is missing"};
-    return root_[key];
-  }
-  std::string text(const std::string& key) const {
-    const YAML::Node node = need(key);
-    if (!node.IsScalar()) fail(key, "a text is wanted");
-    return node.Scalar();
-  }
-  double number(const std::string& key) const { return to_number(key, need(key)); }
-  int whole(const std::string& key, int low, int high) const { return to_whole(key, number(key), low, high); }
-  int to_whole(const std::string& key, double value, int low, int high) const {
-    if (value != std::floor(value) || value < low || value > high) {
-      fail(key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high) + " is wanted");
-    }
-    return static_cast<int>(value);
-  }
-  std::vector<double> numbers(const std::string& key) const { return to_numbers(key, need(key)); }
-  std::vector<double> to_numbers(const std::string& key, const YAML::Node& node) const {
-    if (!node.IsSequence()) fail(key, "a list of numbers in [ ] is wanted");
-    if (node.size() > 16) fail(key, "a list of at most 16 numbers is wanted");
-    std::vector<double> out;
-    for (const YAML::Node& item : node) out.push_back(to_number(key, item));
-    return out;
-  }
-
- private:
-  double to_number(const std::string& key, const YAML::Node& node) const {
-    double value = 0;
-    if (!node.IsScalar() || !YAML::convert<double>::decode(node, value)) fail(key, "a number is wanted");
-    if (!std::isfinite(value)) fail(key, "the number is not finite");
-    return value;
-  }
-
-  YAML::Node root_;
-  std::string name_;
-};
-
-bool starts_with(const std::string& text, std::string_view prefix) {
-  return text.compare(0, prefix.size(), prefix) == 0;
-}
-
-/// Length 4x4, rows orthonormal, last row 0 0 0 1.
-bool is_rigid(const std::array<double, 16>& T) {
-  for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) {
-      double dot = 0;
-      for (int k = 0; k < 3; ++k)
-        dot += T[static_cast<std::size_t>(4 * a + k)] * T[static_cast<std::size_t>(4 * b + k)];
-      if (std::abs(dot - (a == b ? 1.0 : 0.0)) > 1e-3) return false;
-    }
-  }
-  const double det =
-      T[0] * (T[5] * T[10] - T[6] * T[9]) - T[1] * (T[4] * T[10] - T[6] * T[8]) + T[2] * (T[4] * T[9] - T[5] * T[8]);
-  return det > 0 && T[12] == 0 && T[13] == 0 && T[14] == 0 && T[15] == 1;
-}
-
-void read_distortion(const Reader& in, const std::string& coefficients_key, CameraCalibration* c) {
-  const std::string model = in.text("distortion_model");
-  const std::vector<double> k = in.numbers(coefficients_key);
-  if (starts_with(model, "radtan") || starts_with(model, "radial-tangential") || starts_with(model, "plumb_bob")) {
-    c->distortion_model = CameraCalibration::Distortion::kRadTan;
-    if (k.size() != 4 && k.size() != 5) in.fail(coefficients_key, "4 (k1 k2 p1 p2) or 5 (and k3) numbers are wanted");
-  } else if (starts_with(model, "equidistant") || starts_with(model, "kannala-brandt")) {
-    c->distortion_model = CameraCalibration::Distortion::kKannalaBrandt4;
-    if (k.size() != 4) in.fail(coefficients_key, "4 numbers (k1 k2 k3 k4) are wanted");
-  } else if (starts_with(model, "none")) {
-    if (!k.empty()) in.fail(coefficients_key, "must be empty, [], where distortion_model is none");
-  } else {
-    in.fail("distortion_model", "'" + model.substr(0, 40) +
-                                    "' is unknown; known are radtan (radial-tangential, plumb_bob), equidistant "
-                                    "(kannala-brandt) and none");
-  }
-  for (std::size_t i = 0; i < k.size(); ++i) {
-    if (std::abs(k[i]) > 100) in.fail(coefficients_key, "a coefficient beyond 100 is absurd");
-    c->distortion[i] = k[i];
-  }
-}
-
-void read_pose(const Reader& in, const std::string& key, const std::vector<double>& values, CameraCalibration* c) {
-  if (values.size() != 16) in.fail(key, "16 numbers (4x4, row by row) are wanted");
-  std::array<double, 16> T{};
-  for (std::size_t i = 0; i < 16; ++i) T[i] = values[i];
-  if (!is_rigid(T)) in.fail(key, "not a rigid motion (rotation and translation)");
-  c->T_body_cam = T;
-}
+using yaml::kMinImageSide;
+using yaml::Mistake;
+using yaml::Reader;
+using yaml::starts_with;
 
 void check_intrinsics(const std::string& name, const CameraCalibration& c) {
   const auto fail = [&](const std::string& key, const std::string& reason) {
@@ -153,7 +56,8 @@ CameraCalibration read_own(const Reader& in) {
   c.fy = in.number("fy");
   c.cx = in.number("cx");
   c.cy = in.number("cy");
-  read_distortion(in, "distortion", &c);
+  yaml::read_distortion(in, "distortion_model", in.text("distortion_model"), "distortion", in.numbers("distortion"),
+                        &c);
   if (in.has("fps")) c.fps = in.number("fps");
   read_shutter(in, &c);
   if (in.has("image_channels")) {
@@ -164,7 +68,7 @@ CameraCalibration read_own(const Reader& in) {
     }
     c.channels = channels[0] - '0';
   }
-  if (in.has("T_body_cam")) read_pose(in, "T_body_cam", in.numbers("T_body_cam"), &c);
+  if (in.has("T_body_cam")) c.T_body_cam = yaml::rigid_motion(in, "T_body_cam", in.numbers("T_body_cam"));
   return c;
 }
 
@@ -181,12 +85,13 @@ CameraCalibration read_euroc(const Reader& in) {
   c.fy = k[1];
   c.cx = k[2];
   c.cy = k[3];
-  read_distortion(in, "distortion_coefficients", &c);
+  yaml::read_distortion(in, "distortion_model", in.text("distortion_model"), "distortion_coefficients",
+                        in.numbers("distortion_coefficients"), &c);
   if (in.has("rate_hz")) c.fps = in.number("rate_hz");
   if (in.has("T_BS")) {
     const YAML::Node pose = in.need("T_BS");
     if (!pose.IsMap() || !pose["data"]) in.fail("T_BS", "'data: [16 numbers]' is wanted");
-    read_pose(in, "T_BS", in.to_numbers("T_BS", pose["data"]), &c);
+    c.T_body_cam = yaml::rigid_motion(in, "T_BS", in.to_numbers("T_BS", pose["data"]));
   }
   return c;
 }
@@ -194,14 +99,28 @@ CameraCalibration read_euroc(const Reader& in) {
 }  // namespace
 
 rt::Result<CameraCalibration> parse_calibration(std::string_view text, const std::string& name) {
+  // OpenCV begins its files with "%YAML:1.0", which is no YAML.
+  if (text.compare(0, 6, "%YAML:") == 0) text.remove_prefix(std::min(text.find('\n'), text.size()));
   try {
     const YAML::Node root = YAML::Load(std::string(text));
     if (!root.IsMap()) return rt::Error{name + ": not a list of 'key: value' lines"};
     const Reader in(root, name);
-    if (!in.has("model") && !in.has("camera_model")) {
-      return rt::Error{name + ": neither 'model' (camera.yaml) nor 'camera_model' (EuRoC's sensor.yaml) is given"};
+    CameraCalibration c;
+    if (in.has("model")) {
+      c = read_own(in);
+    } else if (in.has("cam0")) {
+      c = yaml::read_kalibr(root, name);
+    } else if (in.has("camera_matrix") && in.has("distortion_model")) {
+      c = yaml::read_ros(in);
+    } else if (in.has("camera_model")) {
+      c = read_euroc(in);
+    } else if (in.has("camera_matrix") || in.has("cameraMatrix") || in.has("Camera_Matrix") || in.has("K")) {
+      c = yaml::read_opencv(in);
+    } else {
+      return rt::Error{name +
+                       ": neither 'model' (camera.yaml), 'camera_model' (EuRoC's sensor.yaml), 'cam0' (Kalibr) nor "
+                       "'camera_matrix' (ROS, OpenCV) is given"};
     }
-    const CameraCalibration c = in.has("model") ? read_own(in) : read_euroc(in);
     if (c.fps < 0 || c.fps > 1000) return rt::Error{name + ": frame rate: from 0 to 1000 is wanted"};
     check_intrinsics(name, c);
     return c;

@@ -36,11 +36,14 @@ struct CameraCalibration {
   double readout_s() const { return fps > 0 ? readout_frames / fps : 0.0; }
   /// Maps camera points into the body (IMU) frame, row major, where the file says it.
   std::optional<std::array<double, 16>> T_body_cam;
+  /// What to add to the camera's times to have the IMU's [s], where the file says it (Kalibr's timeshift_cam_imu).
+  std::optional<double> time_offset_s;
 };
 
-/// Reads our own camera.yaml (model, width, height, fx, fy, cx, cy, distortion_model, distortion, ..) or EuRoC's
-/// sensor.yaml (camera_model, intrinsics, resolution, distortion_coefficients, T_BS, ..). Error: names the file, the
-/// key, its line and the reason; numbers that are not finite or absurd are refused.
+/// Reads our own camera.yaml (model, width, height, fx, fy, cx, cy, distortion_model, distortion, ..), EuRoC's
+/// sensor.yaml (camera_model, intrinsics, resolution, distortion_coefficients, T_BS, ..), Kalibr's camchain.yaml and
+/// camchain-imucam.yaml (cam0), ROS's camera_info or OpenCV's FileStorage (camera_matrix, ..): whichever it is. Error:
+/// names the file, the key, its line and the reason; numbers that are not finite or absurd are refused.
 rt::Result<CameraCalibration> parse_calibration(std::string_view text, const std::string& name);
 
 }  // namespace godwit::hal

@@ -115,6 +115,95 @@ TEST(Calibration, RefusesWhatIsNoCalibrationAtAll) {
   EXPECT_THAT(refusal("model: [pinhole]\n"), HasSubstr("model: a text is wanted"));
 }
 
+constexpr const char* kKalibr = R"(cam0:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, 0.1]
+  - [1.0, 0.0, 0.0, 0.2]
+  - [0.0, 0.0, 1.0, 0.3]
+  - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.8e-05]
+  distortion_model: radtan
+  intrinsics: [458.6, 457.3, 367.2, 248.4]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+  timeshift_cam_imu: -0.0042
+cam1:
+  camera_model: pinhole
+)";
+
+constexpr const char* kRos = R"(image_width: 640
+image_height: 480
+camera_name: narrow_stereo
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [437.4, 0, 345.9, 0, 430.4, 216.0, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.36, 0.1, -0.001, 0.0006, 0]
+)";
+
+constexpr const char* kOpenCv = R"(%YAML:1.0
+---
+calibration_time: "Sun"
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 5.2e+02, 0., 3.2e+02, 0., 5.21e+02, 2.4e+02, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ 0.01, -0.02, 0., 0.001, 0.3 ]
+)";
+
+CameraCalibration good(const std::string& text) {
+  const auto c = parse_calibration(text, "camera.yaml");
+  EXPECT_TRUE(c.ok()) << c.error().message;
+  return c.ok() ? c.value() : CameraCalibration();
+}
+
+TEST(Calibration, ReadsKalibrsChain) {
+  const CameraCalibration c = good(kKalibr);
+  EXPECT_EQ(c.width, 752);
+  EXPECT_EQ(c.fy, 457.3);
+  EXPECT_EQ(c.distortion[3], 1.8e-05);
+  EXPECT_EQ(c.distortion_model, CameraCalibration::Distortion::kRadTan);
+  EXPECT_EQ(c.time_offset_s, -0.0042);
+  // The inverse of T_cam_imu: the rotation's transpose, and minus that times the translation.
+  ASSERT_TRUE(c.T_body_cam);
+  const std::array<double, 16> want{0, 1, 0, -0.2, -1, 0, 0, 0.1, 0, 0, 1, -0.3, 0, 0, 0, 1};
+  for (std::size_t i = 0; i < 16; ++i) EXPECT_DOUBLE_EQ((*c.T_body_cam)[i], want[i]) << i;
+  const std::string fisheye = with(kKalibr, "distortion_model: radtan", "distortion_model: equidistant");
+  EXPECT_EQ(good(fisheye).distortion_model, CameraCalibration::Distortion::kKannalaBrandt4);
+  EXPECT_THAT(refusal(with(kKalibr, "pinhole\n  dist", "omni\n  dist")), HasSubstr("camera.yaml:8: camera_model"));
+  EXPECT_THAT(refusal(with(kKalibr, "-1.0, 0.0, 0.1", "-1.1, 0.0, 0.1")), HasSubstr("T_cam_imu: not a rigid motion"));
+  EXPECT_THAT(refusal("cam0: 3\n"), HasSubstr("cam0: a map of keys"));
+}
+
+TEST(Calibration, ReadsRosAndOpenCv) {
+  const CameraCalibration ros = good(kRos);
+  EXPECT_EQ(ros.width, 640);
+  EXPECT_EQ(ros.fx, 437.4);
+  EXPECT_EQ(ros.cy, 216.0);
+  EXPECT_EQ(ros.distortion[0], -0.36);
+  EXPECT_THAT(refusal(with(kRos, "plumb_bob", "rational_polynomial")), HasSubstr("'rational_polynomial' is unknown"));
+  EXPECT_THAT(refusal(with(kRos, "437.4, 0,", "437.4, 2,")), HasSubstr("skew is not supported"));
+  const CameraCalibration opencv = good(kOpenCv);
+  EXPECT_EQ(opencv.fy, 521);
+  EXPECT_EQ(opencv.distortion[4], 0.3);
+  EXPECT_THAT(refusal(with(kOpenCv, "0.3 ]", "0.3, 0.1, 0, 0 ]")), HasSubstr("rational model"));
+  EXPECT_EQ(good(with(kOpenCv, "0.3 ]", "0.3, 0, 0, 0 ]")).distortion[4], 0.3);
+  EXPECT_THAT(refusal(with(kOpenCv, "image_width: 640\n", "")), HasSubstr("image_width is missing"));
+}
+
 TEST(Calibration, ReadsTheSharedSequencesFiles) {
   const char* shared = std::getenv("GODWIT_SHARED_DIR");
   const std::string data = std::string(shared != nullptr ? shared : "../shared") + "/data/";

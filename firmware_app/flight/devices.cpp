@@ -1,0 +1,156 @@
+#include "firmware_app/flight/devices.h"
+
+#include <algorithm>
+#include <cstdlib>
+
+#include "hal/camera/v4l2/v4l2_camera.h"
+#include "hal/imu/iio/iio_imu.h"
+#include "hal/imu/mpu6000/mpu6000.h"
+#include "hal/record_file.h"
+
+namespace godwit::app {
+namespace {
+
+rt::Result<hal::CameraCalibration> read_calibration(const Config::Camera& config) {
+  if (config.calibration.empty()) {
+    return rt::Error{"camera.calibration: a camera without one cannot be flown; a file is needed"};
+  }
+  const auto text = hal::read_text_file(config.calibration);
+  if (!text) return rt::Error{"camera.calibration: " + text.error().message};
+  auto parsed = hal::parse_calibration(text.value(), config.calibration);
+  if (!parsed) return rt::Error{"camera.calibration: " + parsed.error().message};
+  return parsed;
+}
+
+std::string trimmed(const std::string& text) {
+  const std::size_t first = text.find_first_not_of(' ');
+  return first == std::string::npos ? std::string() : text.substr(first, text.find_last_not_of(' ') - first + 1);
+}
+
+/// "name=value, name=value". False: not of that form.
+bool read_controls(const std::string& text, std::vector<std::pair<std::string, std::int64_t>>* out) {
+  std::size_t at = 0;
+  while (at < text.size()) {
+    const std::size_t comma = std::min(text.find(',', at), text.size());
+    const std::string item = text.substr(at, comma - at);
+    at = comma + 1;
+    const std::size_t equals = item.find('=');
+    if (equals == std::string::npos) return false;
+    const std::string name = trimmed(item.substr(0, equals)), value = trimmed(item.substr(equals + 1));
+    char* end = nullptr;
+    const std::int64_t number = std::strtoll(value.c_str(), &end, 10);
+    if (name.empty() || value.empty() || *end != '\0') return false;
+    out->emplace_back(name, number);
+  }
+  return true;
+}
+
+constexpr rt::TimeNs ns(double seconds) {
+  return static_cast<rt::TimeNs>(seconds * 1e9);
+}
+
+rt::Result<hal::Mpu6000Settings> mpu6000_settings(const Config::Imu& config, const hal::AxisMap& axes) {
+  const int g = config.accel_range_g;
+  if (g != 2 && g != 4 && g != 8 && g != 16) return rt::Error{"imu.accel_range_g: 2, 4, 8 or 16 is allowed"};
+  if (1000 % config.rate_hz != 0) return rt::Error{"imu.rate_hz: 1000 over a whole number is allowed for an MPU-6000"};
+  const int r = config.gyro_range_deg_s;
+  if (r != 250 && r != 500 && r != 1000 && r != 2000) {
+    return rt::Error{"imu.gyro_range_deg_s: 250, 500, 1000 or 2000 is allowed"};
+  }
+  return hal::Mpu6000Settings{config.device, config.rate_hz, r, g, axes, config.self_test};
+}
+
+rt::Result<hal::AxisMap> axis_map(const Config::Imu& config) {
+  const auto axes = hal::parse_axis_map(config.axes);
+  if (axes) return *axes;
+  return rt::Error{"imu.axes: three different axes that make a right-handed frame are allowed, such as \"x -y -z\""};
+}
+
+}  // namespace
+
+rt::Result<hal::V4l2Settings> v4l2_settings(const Config::Camera& config, const hal::CameraCalibration& calibration) {
+  hal::V4l2Settings out;
+  out.device = config.device;
+  out.width = calibration.width;
+  out.height = calibration.height;
+  if (!config.format.empty()) {
+    out.format = hal::pixel_format_named(config.format);
+    if (!out.format) {
+      return rt::Error{"camera.format: GREY, Y10, Y16, YUYV, NV12, RG10, BA10, MJPG or nothing is allowed"};
+    }
+  }
+  out.fps = config.fps > 0 ? config.fps : calibration.fps;
+  out.shift = config.shift;
+  if (!read_controls(config.controls, &out.controls)) {
+    return rt::Error{"camera.controls: \"NAME=NUMBER, ..\" is allowed, such as \"exposure_auto=1, gain=20\""};
+  }
+  out.stamp_at = config.stamp == Config::Camera::Stamp::kFlags   ? hal::StampAt::kAsFlagged
+                 : config.stamp == Config::Camera::Stamp::kStart ? hal::StampAt::kStartOfExposure
+                                                                 : hal::StampAt::kEndOfReadout;
+  out.exposure_ns = ns(config.exposure_ms * 1e-3);
+  out.readout_ns = ns(calibration.readout_s());
+  out.rolling = calibration.readout_frames > 0;
+  return out;
+}
+
+rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceLog& log) {
+  auto calibration = read_calibration(config);
+  if (!calibration) return calibration.error();
+  const auto settings = v4l2_settings(config, calibration.value());
+  if (!settings) return settings.error();
+  auto camera = hal::V4l2Camera::open(hal::linux_video_system(), settings.value(), [log](const std::string& text) {
+    log(text.empty() ? "camera: the device is well again" : "warning: camera: " + text);
+  });
+  if (!camera) return camera.error();
+  OpenedCamera out{std::move(camera).value(), calibration.value()};
+  out.calibration.channels = out.camera->channels();
+  if (!(out.calibration.fps > 0)) out.calibration.fps = config.fps;
+  return out;
+}
+
+rt::Result<std::unique_ptr<hal::Imu>> open_imu(const Config::Imu& config, const DeviceLog& log) {
+  std::unique_ptr<hal::Imu> out;
+  if (config.source == Config::Imu::Source::kNone) return out;
+  const auto axes = axis_map(config);
+  if (!axes) return axes.error();
+  std::string trouble;
+  if (config.source == Config::Imu::Source::kMpu6000) {
+    const auto settings = mpu6000_settings(config, axes.value());
+    if (!settings) return settings.error();
+    auto opened = hal::Mpu6000::open(hal::spidev_port(), settings.value());
+    if (!opened) return opened.error();
+    if (opened.value()->trouble() != nullptr) trouble = opened.value()->trouble();
+    out = std::move(opened).value();
+  } else {
+    auto opened =
+        hal::IioImu::open(hal::libiio_port(), config.accel_device.empty() ? nullptr : hal::libiio_port(),
+                          {config.device, config.accel_device, static_cast<double>(config.rate_hz), axes.value()});
+    trouble = opened->trouble();
+    out = std::move(opened);
+  }
+  if (!trouble.empty()) log("warning: IMU " + config.device + ": " + trouble);
+  return out;
+}
+
+void check_devices(ConfigReport* report) {
+  const Config& c = report->config;
+  // Errors name their key before the first colon.
+  const auto mistake = [&](const std::string& message) {
+    const std::size_t colon = message.find(": ");
+    report->mistake(message.substr(0, colon), message.substr(colon + 2));
+  };
+  if (c.camera.source == Config::Camera::Source::kV4l2) {
+    const auto calibration = read_calibration(c.camera);
+    if (!calibration) mistake(calibration.error().message);
+    const auto settings = v4l2_settings(c.camera, calibration ? calibration.value() : hal::CameraCalibration());
+    if (!settings) mistake(settings.error().message);
+  }
+  if (c.imu.source == Config::Imu::Source::kNone) return;
+  const auto axes = axis_map(c.imu);
+  if (!axes) return mistake(axes.error().message);
+  if (c.imu.source != Config::Imu::Source::kMpu6000) return;
+  const auto settings = mpu6000_settings(c.imu, axes.value());
+  if (!settings) mistake(settings.error().message);
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,96 @@
+#include "firmware_app/flight/devices.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/support/temp_folder.h"
+
+namespace godwit::app {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr const char* kCalibration =
+    "model: pinhole\nwidth: 640\nheight: 480\nfx: 450\nfy: 450\ncx: 320\ncy: 240\n"
+    "distortion_model: none\ndistortion: []\nfps: 25\nshutter: rolling\nreadout_s: 0.02\n";
+
+std::string mistakes(const std::string& toml) {
+  ConfigReport report = parse_config(toml, "c.toml");
+  check_devices(&report);
+  std::string out;
+  for (const std::string& m : report.mistakes) out += m + "\n";
+  return out;
+}
+
+TEST(Devices, SettingsOfAV4l2CameraComeFromConfigurationAndCalibration) {
+  const test::TempFolder folder;
+  test::write_file(folder / "camera.yaml", kCalibration);
+  const ConfigReport report =
+      parse_config("[camera]\nsource = \"v4l2\"\ncalibration = \"" + (folder / "camera.yaml") +
+                       "\"\ndevice = \"serial:42\"\nformat = \"RG10\"\nshift = 1\nstamp = \"start\"\nexposure_ms = 4\n"
+                       "controls = \"exposure_auto=1, gain = -20\"\n",
+                   "c.toml");
+  ASSERT_TRUE(report.ok()) << report.mistakes.front();
+  const auto calibration = hal::parse_calibration(kCalibration, "camera.yaml");
+  ASSERT_TRUE(calibration.ok());
+  const auto s = v4l2_settings(report.config.camera, calibration.value());
+  ASSERT_TRUE(s.ok());
+  EXPECT_EQ(s.value().device, "serial:42");
+  EXPECT_EQ(s.value().width, 640);
+  EXPECT_EQ(s.value().format, hal::PixelFormat::kRg10);
+  EXPECT_EQ(s.value().fps, 25);
+  EXPECT_EQ(s.value().shift, 1);
+  EXPECT_EQ(s.value().stamp_at, hal::StampAt::kStartOfExposure);
+  EXPECT_EQ(s.value().exposure_ns, 4 * rt::kNsPerMs);
+  EXPECT_EQ(s.value().readout_ns, 20 * rt::kNsPerMs);
+  EXPECT_TRUE(s.value().rolling);
+  ASSERT_EQ(s.value().controls.size(), 2u);
+  EXPECT_EQ(s.value().controls[1].first, "gain");
+  EXPECT_EQ(s.value().controls[1].second, -20);
+}
+
+TEST(Devices, MistakesNameTheirKeyAndLine) {
+  const test::TempFolder folder;
+  test::write_file(folder / "camera.yaml", kCalibration);
+  const std::string good = "[camera]\nsource = \"v4l2\"\ncalibration = \"" + (folder / "camera.yaml") + "\"\n";
+  EXPECT_EQ(mistakes(good), "");
+  EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\n"), HasSubstr("camera.calibration: a camera without one"));
+  EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\ncalibration = \"/none\"\n"),
+              HasSubstr("c.toml:3: camera.calibration: /none"));
+  EXPECT_THAT(mistakes(good + "format = \"H264\"\n"), HasSubstr("c.toml:4: camera.format: GREY, Y10"));
+  for (const char* wrong : {"gain", "gain=", "=3", "gain=x", "gain=3 4", "gain=3,,"}) {
+    EXPECT_THAT(mistakes(good + "controls = \"" + wrong + "\"\n"), HasSubstr("c.toml:4: camera.controls: ")) << wrong;
+  }
+  EXPECT_EQ(mistakes("[imu]\nsource = \"mpu6000\"\n"), "");
+  EXPECT_THAT(mistakes("[imu]\nsource = \"iio\"\naxes = \"x y\"\n"), HasSubstr("c.toml:3: imu.axes: "));
+  EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\nrate_hz = 300\n"), HasSubstr("c.toml:3: imu.rate_hz: "));
+  EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\naccel_range_g = 3\n"), HasSubstr("imu.accel_range_g: 2, 4, 8"));
+  EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\ngyro_range_deg_s = 300\n"), HasSubstr("imu.gyro_range_deg_s: "));
+}
+
+TEST(Devices, WhatIsNotThereIsToldAndNoReasonNotToStart) {
+  const test::TempFolder folder;
+  test::write_file(folder / "camera.yaml", kCalibration);
+  Config config;
+  config.camera.source = Config::Camera::Source::kV4l2;
+  config.camera.calibration = folder / "camera.yaml";
+  config.camera.device = "/dev/no-such-camera";
+  std::string told;
+  const DeviceLog log = [&](const std::string& text) { told += text + "\n"; };
+  auto camera = open_camera(config.camera, log);
+  ASSERT_TRUE(camera.ok());
+  EXPECT_THAT(told, HasSubstr("warning: camera: /dev/no-such-camera: cannot be opened: No such file or directory"));
+  config.imu.source = Config::Imu::Source::kMpu6000;
+  config.imu.device = "/dev/no-such-bus";
+  auto imu = open_imu(config.imu, log);
+  ASSERT_TRUE(imu.ok());
+  EXPECT_THAT(told, HasSubstr("warning: IMU /dev/no-such-bus: the SPI device cannot be opened"));
+  config.imu.source = Config::Imu::Source::kIio;
+  config.imu.device = "no-such-sensor";
+  imu = open_imu(config.imu, log);
+  ASSERT_TRUE(imu.ok());
+  EXPECT_THAT(told, HasSubstr("warning: IMU no-such-sensor: iio: "));
+}
+
+}  // namespace
+}  // namespace godwit::app
