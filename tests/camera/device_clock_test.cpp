@@ -70,6 +70,19 @@ TEST(DeviceClock, AFirstPictureThatIsLateSpoilsNothing) {
   EXPECT_EQ(clock.take(t - 50 * rt::kNsPerSecond, t + kMs).t_ns, t + kMs);
 }
 
+TEST(DeviceClock, PicturesThatWaitedForABusyMachineAreOldNotMistimed) {
+  DeviceClock clock;
+  clock.start({}, 0);
+  rt::TimeNs stamp = 1000 * rt::kNsPerSecond;
+  for (rt::TimeNs delay = kMs; delay < 3 * rt::kNsPerSecond; delay += 120 * kMs) {
+    stamp += 33 * kMs;
+    const auto r = clock.take(stamp, stamp + delay);
+    EXPECT_EQ(r.verdict, Verdict::kGood);
+    EXPECT_EQ(r.t_ns, stamp);
+  }
+  EXPECT_EQ(clock.source(), Source::kMonotonic);
+}
+
 TEST(DeviceClock, RepeatedStampsAreRefusedAndThenArrivalsUsed) {
   DeviceClock clock;
   clock.start({}, 2 * kMs);

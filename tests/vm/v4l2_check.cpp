@@ -86,13 +86,17 @@ class Watch {
   /// Takes so many pictures, or as many as come in the time.
   Seen take(int frames, rt::TimeNs most_ns) {
     Seen out;
+    std::string why;
     const rt::TimeNs end = rt::monotonic_now_ns() + most_ns;
     rt::TimeNs first = 0, last = 0;
     while (out.frames < frames && rt::monotonic_now_ns() < end) {
       CapturedFrame f;
-      const auto status = camera->next({grey_.data(), settings_.width, settings_.height, settings_.width}, bgr_.data(),
-                                       100 * rt::kNsPerMs, &f, &out.why);
-      if (status == CameraStatus::kBadFrame) ++out.bad;
+      const auto status = camera->next({grey_.data(), settings_.width, settings_.height, settings_.width},
+                                       colour ? bgr_.data() : nullptr, 100 * rt::kNsPerMs, &f, &why);
+      if (status == CameraStatus::kBadFrame) {
+        ++out.bad;
+        out.why = why;
+      }
       if (status != CameraStatus::kFrame) continue;
       const rt::TimeNs age = rt::monotonic_now_ns() - f.t_capture_ns;
       out.oldest = std::max(out.oldest, age);
@@ -109,6 +113,7 @@ class Watch {
   }
 
   std::unique_ptr<V4l2Camera> camera;
+  bool colour = false;  ///< converted, too: slow under emulation
 
  private:
   V4l2Settings settings_;
@@ -116,9 +121,10 @@ class Watch {
 };
 
 std::string text(const Seen& s, const V4l2Counters& c) {
-  char out[160];
-  std::snprintf(out, sizeof out, "%d frames every %.1f ms, %d bad, %llu lost, oldest %.0f ms, %d grey values", s.frames,
-                s.mean_interval_ms, s.bad, static_cast<unsigned long long>(c.lost), rt::to_ms(s.oldest), s.values);
+  char out[240];
+  std::snprintf(out, sizeof out, "%d frames every %.1f ms, %d bad%s%s, %llu lost, oldest %.0f ms, %d grey values",
+                s.frames, s.mean_interval_ms, s.bad, s.why.empty() ? "" : ": ", s.why.c_str(),
+                static_cast<unsigned long long>(c.lost), rt::to_ms(s.oldest), s.values);
   return out;
 }
 
@@ -171,22 +177,35 @@ void injected(const V4l2Settings& settings, const std::string& ctl) {
   check(w.camera->counters().back == 2 && s.frames == 20, "and after a STREAMON error it is tried again");
 }
 
+/// vivid stamps the end of a frame before it is there, most of a frame ahead: a clock that cannot be ours.
+void future_stamps(V4l2Settings settings) {
+  settings.controls = {{"timestamp_source", 0}};
+  Watch w(linux_video_system(), settings);
+  const Seen s = w.take(60, 60 * rt::kNsPerSecond);
+  check(s.frames == 60 && w.camera->clock().source() == DeviceClock::Source::kMeasured,
+        "stamps of the future are measured anew: " + text(s, w.camera->counters()));
+}
+
 void unplugged(const V4l2Settings& settings, const std::string& ctl, const std::string& plug) {
   Watch w(linux_video_system(), settings);
   w.take(10, 20 * rt::kNsPerSecond);
+  // vivid comes back by itself when the last program has let go of it.
   run(ctl + "disconnect=1");
-  Seen s = w.take(1000, 2 * rt::kNsPerSecond);
-  check(!w.camera->streaming() && w.camera->counters().gone == 1, "a device that is unplugged is gone");
-  // The keeper has closed it, or the module could not be taken out.
-  run("for i in 1 2 3 4 5 6 7 8 9 10; do modprobe -r vivid && exit 0; sleep 0.5; done; exit 1");
+  Seen s = w.take(20, 30 * rt::kNsPerSecond);
+  check(s.frames == 20 && w.camera->counters().gone == 1 && w.camera->counters().back == 1,
+        "disconnected under way, it comes back: " + text(s, w.camera->counters()));
+  run("echo vivid.0 > /sys/bus/platform/drivers/vivid/unbind");
+  s = w.take(1000, 2 * rt::kNsPerSecond);
+  check(!w.camera->streaming() && w.camera->counters().gone == 2, "a device that is unplugged is gone");
   s = w.take(1000, rt::kNsPerSecond);
   check(s.frames == 0, "and stays so");
-  run(plug);
+  run("echo vivid.0 > /sys/bus/platform/drivers/vivid/bind");
   const rt::TimeNs began = rt::monotonic_now_ns();
+  run(plug);
   s = w.take(1, 30 * rt::kNsPerSecond);
   const double took_s = rt::to_seconds(rt::monotonic_now_ns() - began);
-  check(s.frames == 1 && w.camera->counters().back == 1 && took_s < 2,
-        "plugged in again it is back after " + std::to_string(took_s) + " s");
+  check(s.frames == 1 && w.camera->counters().back == 2, "plugged in again it is back");
+  std::printf("      first picture %.2f s after its input was set\n", took_s);
   s = w.take(30, 30 * rt::kNsPerSecond);
   check(s.frames == 30 && s.not_later == 0, text(s, w.camera->counters()));
 }
@@ -200,9 +219,11 @@ int main(int argc, char** argv) {
   settings.width = 640;
   settings.height = 480;
   settings.format = PixelFormat::kGrey;
+  settings.controls = {{"timestamp_source", 1}};  // the start of the exposure
   const std::string ctl = std::string("v4l2-ctl -d ") + argv[1] + " -c ";
   formats(settings, std::atoi(argv[2]));
   shifted_clock(settings);
+  future_stamps(settings);
   injected(settings, ctl);
   unplugged(settings, ctl, argv[3]);
   return failures == 0 ? 0 : 1;

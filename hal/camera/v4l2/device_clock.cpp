@@ -92,12 +92,15 @@ DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_n
   const rt::TimeNs delay = arrival_ns - stamp_ns;
   // A measured offset may rest on late arrivals: earlier ones only correct it.
   const rt::TimeNs early = source_ == Source::kMeasured ? kMostDelayNs : kSlackNs + kSlewNs;
+  // A picture that waited for a busy machine grows old from one to the next, a clock that is set leaps.
+  const rt::TimeNs last_delay = last_delay_ns_;
   repeats_ = 0;
   last_stamp_ns_ = stamp_ns;
+  last_delay_ns_ = delay;
   if (!any_ || source_ == Source::kArrival) {
     any_ = true;
     decide(delay);
-  } else if (delay - offset_ns_ < -early || delay - offset_ns_ > kMostDelayNs ||
+  } else if (delay - offset_ns_ < -early || (delay - offset_ns_ > kMostDelayNs && delay - last_delay > kStepNs) ||
              (back && source_ == Source::kMeasured)) {
     out.verdict = Verdict::kJumped;
     out.off_ns = offset_ns_ - delay;

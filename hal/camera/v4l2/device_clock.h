@@ -35,6 +35,8 @@ class DeviceClock {
   /// A quartz drifts by at most 100 ppm and the kernel slews by at most 500: 0.6 ms a second. What the least delay of
   /// a second moves beyond is not followed at once: it is load.
   static constexpr rt::TimeNs kSlewNs = rt::kNsPerMs;
+  /// A delay that grows by more from one picture to the next was not spent in a queue.
+  static constexpr rt::TimeNs kStepNs = rt::kNsPerSecond;
   static constexpr rt::TimeNs kWindowNs = rt::kNsPerSecond;
   /// So many stamps in a row that repeat: the device's clock stands, and arrivals are all there is.
   static constexpr int kStandsStill = 3;
@@ -60,7 +62,7 @@ class DeviceClock {
   Source source_ = Source::kUnknown;
   rt::TimeNs offset_ns_ = 0;
   bool any_ = false;
-  rt::TimeNs last_stamp_ns_ = 0;
+  rt::TimeNs last_stamp_ns_ = 0, last_delay_ns_ = 0;
   int repeats_ = 0;
   rt::TimeNs window_end_ns_ = 0, window_least_ns_ = 0;  ///< least delay of the running second
   bool window_any_ = false;
