@@ -7,6 +7,7 @@
 #include "firmware_app/commands/check_command.h"
 #include "firmware_app/commands/doctor_command.h"
 #include "firmware_app/commands/fly_command.h"
+#include "firmware_app/commands/record_command.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
 #include "firmware_app/program/exit_code.h"
@@ -30,6 +31,10 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   add_replay_command(&app, &replay);
   FlyArguments fly;
   add_fly_command(&app, &fly);
+  RecordArguments record;
+  add_record_command(&app, &record);
+  CalibrateArguments calibrate;
+  add_calibrate_command(&app, &calibrate);
   SimArguments sim;
   add_sim_command(&app, &sim);
   try {
@@ -40,6 +45,8 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   if (app.got_subcommand("check")) return run_check(check);
   if (app.got_subcommand("doctor")) return run_doctor(doctor, stop);
   if (app.got_subcommand("fly")) return run_fly(fly, stop);
+  if (app.got_subcommand("record")) return run_record(record, stop);
+  if (app.got_subcommand("calibrate")) return run_calibrate_imu(calibrate);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
   return run_replay(replay, stop);
 }

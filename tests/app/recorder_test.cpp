@@ -1,0 +1,124 @@
+#include "firmware_app/output/recorder.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <gtest/gtest.h>
+
+#include "hal/camera/replay/replay_camera.h"
+#include "hal/imu/replay/imu_record.h"
+#include "tests/support/temp_folder.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr const char* kCalibration =
+    "model: pinhole\nwidth: 96\nheight: 64\nfx: 90\nfy: 90\ncx: 48\ncy: 32\ndistortion_model: none\ndistortion: []\n";
+
+/// Fewer pictures than there are slots: however slow the disc is, none can be dropped.
+class Pictures final : public hal::Camera {
+ public:
+  explicit Pictures(int count) : count_(count) {}
+  int width() const override { return 96; }
+  int height() const override { return 64; }
+  int channels() const override { return 1; }
+  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* /*bgr*/, rt::TimeNs /*timeout_ns*/,
+                         hal::CapturedFrame* frame, std::string* why) override {
+    if (number_ == count_) return hal::CameraStatus::kEnd;
+    frame->sequence = static_cast<std::uint32_t>(number_ < 10 ? number_ : number_ + 2);  // two are missing
+    frame->t_capture_ns = 1'000'000'000'000 + number_ * 16'666'667LL;
+    ++number_;
+    if (number_ == 5) {
+      *why = "bad";
+      return hal::CameraStatus::kBadFrame;
+    }
+    if (grey.data == nullptr) return hal::CameraStatus::kFrame;
+    for (int y = 0; y < 64; ++y) std::fill_n(grey.row(y), 96, static_cast<std::uint8_t>(number_));
+    return hal::CameraStatus::kFrame;
+  }
+
+ private:
+  const int count_;
+  int number_ = 0;
+};
+
+class Samples final : public hal::Imu {
+ public:
+  double rate_hz() const override { return 200; }
+  hal::ImuStatus next(hal::ImuSample* s, rt::TimeNs /*timeout_ns*/) override {
+    if (number_ == 100) return hal::ImuStatus::kEnd;
+    *s = {};
+    s->t_ns = 1'000'000'000'000 + number_ * 5'000'000LL;
+    s->gyro_rad_s = {0.001 * number_, 0, -0.5};
+    s->accel_m_s2 = {0, 0, -9.81};
+    ++number_;
+    return hal::ImuStatus::kSample;
+  }
+  bool done() const { return number_ == 100; }
+
+ private:
+  std::atomic<int> number_{0};
+};
+
+TEST(Recorder, WhatIsRecordedCanBeReplayed) {
+  const test::TempFolder folder;
+  Pictures camera(40);
+  RecorderOptions options;
+  options.out = folder / "flight";
+  options.calibration = kCalibration;
+  const std::atomic<bool> stop{false};
+  const auto done = record_devices(&camera, nullptr, options, {}, stop);
+  ASSERT_TRUE(done.ok()) << done.error().message;
+  EXPECT_EQ(done.value().pictures, 39u);
+  EXPECT_EQ(done.value().bad, 1u);
+  EXPECT_EQ(done.value().missed, 2u);
+  EXPECT_EQ(done.value().dropped, 0u);
+  auto replay = hal::ReplayCamera::open(options.out, {});
+  ASSERT_TRUE(replay.ok()) << replay.error().message;
+  EXPECT_EQ(replay.value()->total(), 39);
+  std::vector<std::uint8_t> pixels(96 * 64);
+  hal::CapturedFrame frame;
+  ASSERT_EQ(replay.value()->next({pixels.data(), 96, 64, 96}, nullptr, 0, &frame, nullptr), hal::CameraStatus::kFrame);
+  EXPECT_EQ(pixels[0], 1);
+  EXPECT_EQ(frame.t_source_ns, 1'000'000'000'000);
+  EXPECT_FALSE(record_devices(&camera, nullptr, options, {}, stop).ok()) << "nothing is recorded over";
+}
+
+TEST(Recorder, TheInertialSensorAloneIsRecordedToo) {
+  const test::TempFolder folder;
+  Samples imu;
+  RecorderOptions options;
+  options.out = folder / "still";
+  std::atomic<bool> stop{false};
+  const auto done = record_devices(
+      nullptr, &imu, options, [&](const Recorded& r, std::uint64_t) { stop = r.samples == 100; }, stop);
+  ASSERT_TRUE(done.ok()) << done.error().message;
+  EXPECT_EQ(done.value().samples, 100u);
+  const auto record = hal::read_imu_record(options.out);
+  ASSERT_TRUE(record.ok()) << record.error().message;
+  EXPECT_EQ(record.value().samples.size(), 100u);
+  EXPECT_NEAR(record.value().samples[7].gyro_rad_s[0], 0.007, 1e-9);
+}
+
+TEST(Recorder, ADiscThatIsNearlyFullEndsItInGoodTime) {
+  const test::TempFolder folder;
+  Samples imu;
+  RecorderOptions options;
+  options.out = folder / "full";
+  options.free_bytes = ~0ULL;
+  const std::atomic<bool> stop{false};
+  const auto done = record_devices(nullptr, &imu, options, {}, stop);
+  ASSERT_TRUE(done.ok()) << done.error().message;
+  EXPECT_TRUE(done.value().disc_full);
+  EXPECT_TRUE(std::filesystem::exists(options.out + "/mav0/imu0/data.csv")) << "what there was before is whole";
+}
+
+TEST(Recorder, AFolderThatCannotBeMadeIsAnError) {
+  Samples imu;
+  RecorderOptions options;
+  options.out = "/proc/no";
+  const std::atomic<bool> stop{false};
+  EXPECT_FALSE(record_devices(nullptr, &imu, options, {}, stop).ok());
+}
+
+}  // namespace
+}  // namespace godwit::app
