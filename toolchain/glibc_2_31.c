@@ -1,5 +1,5 @@
 /* What GCC 12's libstdc++.a asks of a C library newer than glibc 2.31, given in the words of the old one. Linked into
- * every program that is built against the sysroot (toolchain/glibc_2_31.cmake). */
+ * every program that is built against the sysroot (toolchain/aarch64.cmake). */
 #include <stdint.h>
 #include <stdlib.h>
 #include <unistd.h>
