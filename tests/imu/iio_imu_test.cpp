@@ -3,6 +3,7 @@
 #include <deque>
 #include <functional>
 #include <gtest/gtest.h>
+#include <limits>
 
 namespace godwit::hal {
 namespace {
@@ -74,6 +75,40 @@ TEST_F(IioImuTest, GivesSiUnitsGapsAndSaturation) {
   ASSERT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.flags, kImuGap | kImuAccelSaturated | kImuGyroSaturated);
   EXPECT_EQ(imu_->counters().gaps, 1u);
+}
+
+TEST_F(IioImuTest, ADeviceWithARateOfItsOwnHasNoGapsAtThatRate) {
+  gyro_.is.rate_hz = 100;
+  open();
+  EXPECT_EQ(imu_->rate_hz(), 100);
+  for (int i = 0; i < 5; ++i) {
+    now_ += 5 * rt::kNsPerMs;
+    measure(i);
+    ASSERT_EQ(next(), ImuStatus::kSample);
+    EXPECT_EQ(s_.flags, 0);
+  }
+  now_ += 15 * rt::kNsPerMs;  // one is missing
+  measure(7);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.flags, kImuGap);
+}
+
+TEST_F(IioImuTest, ReadingsOf32BitsHaveTheirEnds) {
+  gyro_.is.accel_bits = gyro_.is.gyro_bits = 32;
+  open();
+  for (const std::int32_t value :
+       {100'000, std::numeric_limits<std::int32_t>::max(), 40'000, std::numeric_limits<std::int32_t>::min()}) {
+    measure(value);
+    ASSERT_EQ(next(), ImuStatus::kSample);
+    EXPECT_EQ(s_.flags, std::abs(value / 2) > 1'000'000'000 ? kImuAccelSaturated | kImuGyroSaturated : 0) << value;
+  }
+}
+
+TEST(LibiioPort, RatesAreWrittenAsDriversReadThem) {
+  EXPECT_EQ(iio_rate_text(200), "200");
+  EXPECT_EQ(iio_rate_text(1000), "1000");
+  EXPECT_EQ(iio_rate_text(12.5), "12.5");
+  EXPECT_EQ(iio_rate_text(104.166667), "104.166667");
 }
 
 TEST_F(IioImuTest, SamplesOutOfOrderAreLeftOutAndTimesOfAnotherClockTold) {

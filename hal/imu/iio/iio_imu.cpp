@@ -157,18 +157,19 @@ ImuStatus IioImu::finish(const IioScan& scan, const std::array<double, 3>& accel
   }
   *sample = {};
   sample->t_ns = scan.t_ns;
-  const std::int32_t accel_end = (1 << (accel_is().accel_bits - 1)) - 1,
-                     gyro_end = (1 << (lines_[0].is.gyro_bits - 1)) - 1;
+  // HID sensors give 32 bits.
+  const std::int64_t accel_end = (std::int64_t{1} << (accel_is().accel_bits - 1)) - 1,
+                     gyro_end = (std::int64_t{1} << (lines_[0].is.gyro_bits - 1)) - 1;
   std::array<double, 3> a{}, g{};
   for (std::size_t i = 0; i < 3; ++i) {
     a[i] = accel[i] * accel_is().accel_scale;
     g[i] = scan.raw[3 + i] * lines_[0].is.gyro_scale;
-    if (std::abs(raw[i]) >= accel_end) sample->flags |= kImuAccelSaturated;
-    if (std::abs(raw[3 + i]) >= gyro_end) sample->flags |= kImuGyroSaturated;
+    if (std::abs(std::int64_t{raw[i]}) >= accel_end) sample->flags |= kImuAccelSaturated;
+    if (std::abs(std::int64_t{raw[3 + i]}) >= gyro_end) sample->flags |= kImuGyroSaturated;
   }
   if (sample->flags != 0) ++counters_.saturated;
   const bool step_missing =
-      last_ns_ != 0 && static_cast<double>(scan.t_ns - last_ns_) * settings_.rate_hz > 1.5 * rt::kNsPerSecond;
+      last_ns_ != 0 && static_cast<double>(scan.t_ns - last_ns_) * rate_hz() > 1.5 * rt::kNsPerSecond;
   if (step_missing) ++counters_.gaps;
   if (step_missing || gap_) sample->flags |= kImuGap;
   gap_ = false;

@@ -40,7 +40,8 @@ class IioImu final : public Imu {
   static std::unique_ptr<IioImu> open(std::unique_ptr<IioPort> gyro, std::unique_ptr<IioPort> accel,
                                       const IioSettings& settings);
 
-  double rate_hz() const override { return settings_.rate_hz; }
+  /// What the device gives, which may be another rate than was wanted; that one while the device was never seen.
+  double rate_hz() const override { return lines_[0].is.rate_hz > 0 ? lines_[0].is.rate_hz : settings_.rate_hz; }
   ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) override;
   rt::LogRing* events() override { return &events_; }
 

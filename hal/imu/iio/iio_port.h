@@ -44,4 +44,7 @@ class IioPort {
 
 std::unique_ptr<IioPort> libiio_port();
 
+/// A rate as drivers read it: without a fraction where there is none, since some (inv_mpu6050) read whole numbers only.
+std::string iio_rate_text(double rate_hz);
+
 }  // namespace godwit::hal

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <cstring>
 #include <ctime>
 #include <iio.h>
@@ -127,9 +128,10 @@ class LibiioPort final : public IioPort {
 
   /// Drivers have it at the device or at each channel; one that has it nowhere has one rate.
   void set_rate(double rate_hz, IioDescription* out) {
-    if (rate_hz > 0 && iio_device_attr_write_double(device_, "sampling_frequency", rate_hz) != 0) {
+    const std::string text = iio_rate_text(rate_hz);
+    if (rate_hz > 0 && iio_device_attr_write(device_, "sampling_frequency", text.c_str()) < 0) {
       for (iio_channel* const c : channel_) {
-        if (c != nullptr) iio_channel_attr_write_double(c, "sampling_frequency", rate_hz);
+        if (c != nullptr) iio_channel_attr_write(c, "sampling_frequency", text.c_str());
       }
     }
     if (iio_device_attr_read_double(device_, "sampling_frequency", &out->rate_hz) == 0) return;
@@ -166,6 +168,15 @@ class LibiioPort final : public IioPort {
 };
 
 }  // namespace
+
+std::string iio_rate_text(double rate_hz) {
+  char text[32];
+  const auto end = std::to_chars(text, text + sizeof text, rate_hz, std::chars_format::fixed, 6).ptr;
+  std::string out(text, end);
+  out.erase(out.find_last_not_of('0') + 1);
+  if (out.back() == '.') out.pop_back();
+  return out;
+}
 
 std::unique_ptr<IioPort> libiio_port() {
   return std::make_unique<LibiioPort>();
