@@ -41,6 +41,7 @@ struct FakeDevice {
   std::uint32_t fps = 30;
   int stream_on_error = 0, request_error = 0;
   std::map<std::uint32_t, std::pair<std::string, std::int32_t>> controls;
+  std::map<std::uint32_t, std::pair<std::string, std::int64_t>> controls64;
   godwit::hal::ClockOffsets offsets;
   std::vector<godwit::hal::VideoNode> listed;
 
@@ -145,6 +146,13 @@ class FakeVideo final : public godwit::hal::VideoSystem {
             request == VIDIOC_G_CTRL ? known->second.second : c->value;
         return 0;
       }
+      case VIDIOC_S_EXT_CTRLS: {
+        auto* all = static_cast<v4l2_ext_controls*>(argument);
+        const auto known = d_.controls64.find(all->controls[0].id);
+        if (all->count != 1 || known == d_.controls64.end()) return fail(EINVAL);
+        known->second.second = all->controls[0].value64;
+        return 0;
+      }
       case VIDIOC_REQBUFS:
         return d_.request_error != 0 ? fail(d_.request_error) : 0;
       case VIDIOC_QUERYBUF: {
@@ -193,7 +201,15 @@ class FakeVideo final : public godwit::hal::VideoSystem {
     const bool next = (q->id & V4L2_CTRL_FLAG_NEXT_CTRL) != 0;
     const std::uint32_t id = q->id & ~V4L2_CTRL_FLAG_NEXT_CTRL;
     const auto found = next ? d_.controls.upper_bound(id) : d_.controls.find(id);
-    if (found == d_.controls.end()) return fail(EINVAL);
+    if (found == d_.controls.end()) {  // those of 64 bits have the higher numbers, as a driver's own have
+      const auto wide = next ? d_.controls64.upper_bound(id) : d_.controls64.find(id);
+      if (wide == d_.controls64.end()) return fail(EINVAL);
+      q->id = wide->first;
+      q->type = V4L2_CTRL_TYPE_INTEGER64;
+      std::strncpy(reinterpret_cast<char*>(q->name), wide->second.first.c_str(), sizeof q->name - 1);
+      return 0;
+    }
+    q->type = V4L2_CTRL_TYPE_INTEGER;
     q->id = found->first;
     std::strncpy(reinterpret_cast<char*>(q->name), found->second.first.c_str(), sizeof q->name - 1);
     q->minimum = 1;

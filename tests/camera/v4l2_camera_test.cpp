@@ -255,6 +255,19 @@ TEST_F(V4l2CameraTest, ControlsAreSetByNameAtEachStart) {
   EXPECT_EQ(device_.controls[V4L2_CID_GAIN].second, 44);
 }
 
+// As JetPack's sensor drivers have exposure and gain.
+TEST_F(V4l2CameraTest, ControlsOf64BitsAreSetWholeAndOthersNotCutOff) {
+  constexpr std::int64_t kNs = 33'333'333'333;
+  device_.controls64[0x009a200a] = {"Exposure", 0};
+  settings_.controls = {{"exposure", kNs}};
+  open();
+  EXPECT_EQ(device_.controls64[0x009a200a].second, kNs);
+  device_.controls[V4L2_CID_GAIN] = {"Gain", 0};
+  settings_.controls = {{"gain", kNs}};
+  open();
+  EXPECT_TRUE(told_.has("control gain = 33333333333: Numerical result out of range")) << told_.all;
+}
+
 TEST_F(V4l2CameraTest, MjpegIsDecodedAndWhatIsCutOffIsBad) {
   const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(30, 120, 200));
   cv::imencode(".jpg", picture, device_.jpeg);

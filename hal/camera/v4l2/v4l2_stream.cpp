@@ -157,6 +157,25 @@ bool V4l2Stream::query(std::uint32_t id, V4l2Range* range) const {
   return true;
 }
 
+bool V4l2Stream::set_control(std::uint32_t id, std::int64_t value) {
+  v4l2_queryctrl q{};
+  q.id = id;
+  if (call(VIDIOC_QUERYCTRL, &q) && q.type == V4L2_CTRL_TYPE_INTEGER64) {
+    // Tegra's exposure and gain; VIDIOC_S_CTRL refuses such.
+    v4l2_ext_control one{};
+    one.id = id;
+    one.value64 = value;
+    v4l2_ext_controls all{};
+    all.which = V4L2_CTRL_WHICH_CUR_VAL;
+    all.count = 1;
+    all.controls = &one;
+    return call(VIDIOC_S_EXT_CTRLS, &all);
+  }
+  v4l2_control c{id, static_cast<std::int32_t>(value)};
+  if (c.value != value) return errno = ERANGE, false;
+  return call(VIDIOC_S_CTRL, &c);
+}
+
 rt::Result<void> V4l2Stream::set_controls(const V4l2Settings& settings) {
   std::string known;
   for (const auto& [wanted, value] : settings.controls) {
@@ -178,8 +197,7 @@ rt::Result<void> V4l2Stream::set_controls(const V4l2Settings& settings) {
     }
     if (id == 0)
       return rt::Error{path_ + ": has no control " + wanted + "; it has " + (known.empty() ? "none" : known)};
-    v4l2_control c{id, static_cast<std::int32_t>(value)};
-    if (!call(VIDIOC_S_CTRL, &c)) return error(("control " + wanted + " = " + std::to_string(value)).c_str());
+    if (!set_control(id, value)) return error(("control " + wanted + " = " + std::to_string(value)).c_str());
   }
   if (!query(V4L2_CID_EXPOSURE_ABSOLUTE, &exposure_)) exposure_in_lines_ = query(V4L2_CID_EXPOSURE, &exposure_);
   if (!query(V4L2_CID_ANALOGUE_GAIN, &gain_)) query(V4L2_CID_GAIN, &gain_);

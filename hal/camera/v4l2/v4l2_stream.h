@@ -96,6 +96,7 @@ class V4l2Stream {
   rt::Result<void> check_device();
   rt::Result<void> choose_format(const V4l2Settings& settings);
   void set_rate(double fps);
+  bool set_control(std::uint32_t id, std::int64_t value);
   rt::Result<void> set_controls(const V4l2Settings& settings);
   rt::Result<void> map_buffers();
   bool query(std::uint32_t id, V4l2Range* range) const;
