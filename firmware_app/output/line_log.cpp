@@ -1,13 +1,16 @@
 #include "firmware_app/output/line_log.h"
 
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <condition_variable>
 #include <csignal>
+#include <cstdio>
 #include <deque>
 #include <mutex>
 #include <poll.h>
 #include <pthread.h>
+#include <string_view>
 #include <thread>
 #include <unistd.h>
 
@@ -24,14 +27,14 @@ struct LineLog::State {
   std::mutex mutex;
   std::condition_variable change;  // lines came, or were written, or it ends
   std::deque<std::string> lines;
-  std::uint64_t lost = 0;
+  std::atomic<std::uint64_t> lost{0};  // also counted where the mutex cannot be had; a number alone
   std::uint64_t told_lost = 0;
   bool writing = false;
   bool ending = false;
   bool has_thread = false;
 
   /// False: the stream failed.
-  bool write_all(const std::string& text) {
+  bool write_all(std::string_view text) {
     std::size_t done = 0;
     while (done < text.size()) {
       const ssize_t n = ::write(fd, text.data() + done, text.size() - done);
@@ -54,15 +57,18 @@ struct LineLog::State {
     while (true) {
       change.wait(lock, [this] { return ending || !lines.empty(); });
       if (lines.empty()) return;
-      std::string text = std::move(lines.front()) + "\n";
+      // Nothing here allocates: what is thrown on this thread ends the process.
+      const std::string text = std::move(lines.front());
       lines.pop_front();
       const std::uint64_t lost_now = lost;
+      char notice[96] = "";
       if (lost_now != told_lost) {
-        text = std::to_string(lost_now - told_lost) + " lines of the log were lost before this one\n" + text;
+        std::snprintf(notice, sizeof notice, "%llu lines of the log were lost before this one\n",
+                      static_cast<unsigned long long>(lost_now - told_lost));
       }
       writing = true;
       lock.unlock();
-      const bool written = write_all(text);
+      const bool written = write_all(notice) && write_all(text);
       lock.lock();
       writing = false;
       if (written) {
@@ -76,20 +82,20 @@ struct LineLog::State {
 };
 
 LineLog::LineLog(int fd) : state_(std::make_shared<State>(fd)) {
+  // Signals are the other threads' business.
+  sigset_t all, before;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
   try {
-    sigset_t all, before;
-    sigfillset(&all);
-    // Signals are the other threads' business.
-    pthread_sigmask(SIG_SETMASK, &all, &before);
     std::thread([state = state_] {
       pthread_setname_np(pthread_self(), "gw-log");
       state->run();
     }).detach();
-    pthread_sigmask(SIG_SETMASK, &before, nullptr);
     state_->has_thread = true;
   } catch (const std::exception&) {
     // No thread to be had: every line is counted as lost.
   }
+  pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }
 
 LineLog::~LineLog() {
@@ -103,6 +109,7 @@ LineLog::~LineLog() {
 
 void LineLog::put(std::string line) noexcept {
   try {
+    line += '\n';
     const std::lock_guard<std::mutex> lock(state_->mutex);
     if (!state_->has_thread || state_->lines.size() >= kMostLines) {
       ++state_->lost;
@@ -111,7 +118,7 @@ void LineLog::put(std::string line) noexcept {
     state_->lines.push_back(std::move(line));
     state_->change.notify_all();
   } catch (const std::exception&) {
-    ++state_->lost;  // no memory; the lock is held or was never to be had
+    ++state_->lost;  // no memory
   }
 }
 

@@ -4,7 +4,9 @@
 #include <csignal>
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <pthread.h>
 #include <string>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include "hal/rt/wake_up.h"
@@ -69,6 +71,23 @@ TEST(LineLog, AReaderThatIsGoneIsNoEnd) {
   EXPECT_TRUE(log.flush(10 * rt::kNsPerSecond));
   EXPECT_EQ(log.lost(), 10u);
 }
+
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // their own memory would fall under the limit
+TEST(LineLog, WithoutAThreadLinesAreLostAndSignalsStillHeard) {
+  const auto without_room_for_a_stack = [] {
+    const rlimit none{1, RLIM_INFINITY};
+    setrlimit(RLIMIT_AS, &none);
+    LineLog log(STDERR_FILENO);
+    log.put("lost");
+    sigset_t blocked;
+    pthread_sigmask(SIG_SETMASK, nullptr, &blocked);
+    _exit(log.lost() != 1 ? 2 : sigismember(&blocked, SIGTERM) != 0 ? 3 : 0);
+  };
+  // In a process of its own: this one keeps the stacks of earlier threads for new ones.
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(without_room_for_a_stack(), ::testing::ExitedWithCode(0), "");
+}
+#endif
 
 // The writing thread hangs while the log is taken down; for the sanitizers.
 TEST(LineLog, AHangingWriterIsLeftBehind) {
