@@ -1,9 +1,9 @@
-# Where a cross build finds what is not in the sysroot. Eigen, Highway, fmt and toml++ are used as headers alone, which are the
+# Where a cross build finds what is not in the sysroot. What is headers alone (Eigen, Highway, fmt, toml++, CLI11) is the
 # same on every architecture: the machine's serve, by links, because the folder that holds them holds its other headers
 # too. OpenCV is our own cut (toolchain/opencv), made on first use.
 set(headers ${PROJECT_BINARY_DIR}/headers)
 file(MAKE_DIRECTORY ${headers})
-foreach(name fmt hwy toml++)
+foreach(name CLI fmt hwy nlohmann toml++)
   if(NOT EXISTS /usr/include/${name})
     message(FATAL_ERROR "/usr/include/${name} is not there: scripts/setup installs it")
   endif()
