@@ -1,41 +1,17 @@
 #include "vo_core/bundle_adjuster.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+
+#include "vo_core/dense_cholesky.h"
+#include "vo_core/residual_spread.h"
 
 namespace godwit::vo {
 namespace {
 
 using Mat63 = Eigen::Matrix<double, 6, 3>;
-
-// In-place Cholesky of the lower triangle of the n x n matrix A (row stride ld), then solves A x = b in place.
-bool cholesky_solve(double* A, int n, int ld, double* b) {
-  for (int j = 0; j < n; ++j) {
-    double d = A[j * ld + j];
-    for (int k = 0; k < j; ++k) d -= A[j * ld + k] * A[j * ld + k];
-    if (!(d > 0.0)) return false;
-    d = std::sqrt(d);
-    A[j * ld + j] = d;
-    const double inv = 1.0 / d;
-    for (int i = j + 1; i < n; ++i) {
-      using Row = Eigen::Map<const Eigen::VectorXd>;
-      const double s = j > 0 ? Row(A + i * ld, j).dot(Row(A + j * ld, j)) : 0.0;
-      A[i * ld + j] = (A[i * ld + j] - s) * inv;
-    }
-  }
-  for (int i = 0; i < n; ++i) {
-    double s = b[i];
-    for (int k = 0; k < i; ++k) s -= A[i * ld + k] * b[k];
-    b[i] = s / A[i * ld + i];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    double s = b[i];
-    for (int k = i + 1; k < n; ++k) s -= A[k * ld + i] * b[k];
-    b[i] = s / A[i * ld + i];
-  }
-  return true;
-}
 
 }  // namespace
 
@@ -49,6 +25,7 @@ struct BundleAdjuster::Impl {
     bool edgelet;
     bool used;
     std::uint16_t feature;
+    Vec2f error;  // at the last linearisation, in stated sigmas
     Mat63 Hpl;
   };
   struct Point {
@@ -72,6 +49,7 @@ struct BundleAdjuster::Impl {
   std::array<Obs, kMaxObservations> obs;
   std::array<Observation, kMaxOutliers> outliers;
   std::array<std::uint16_t, kMaxPoints> point_mark;
+  std::array<ResidualSpread, kMaxKeyframes> band;  // by pose
   std::array<Mat6, kMaxFree> Hpp;
   std::array<Vec6, kMaxFree> bp;
   static constexpr int kDim = 6 * kMaxFree;
@@ -193,6 +171,7 @@ struct BundleAdjuster::Impl {
           sum += 2.0 * h * 20.0;
           continue;
         }
+        o.error = r.cast<float>();
         const double w = e <= h ? 1.0 : h / e;
         sum += e <= h ? e * e : 2.0 * h * e - h * h;
         // Prediction's Jacobians: for the point, and for the left twist of the pose.
@@ -212,7 +191,50 @@ struct BundleAdjuster::Impl {
     return sum;
   }
 
-  bool solve(double lambda) {
+  // Variance of an observation in units of its stated one, as the residuals show it (residual_spread.h), with what
+  // neighbours have in common.
+  double noise_variance() {
+    ResidualSpread all;
+    band.fill(ResidualSpread{});
+    for (int i = 0; i < obs_count; ++i) {
+      const Obs& o = obs[i];
+      if (!o.used) continue;
+      const Vec2 r = o.error.cast<double>();
+      const double e = r.norm(), w = e <= options.huber_px ? 1.0 : options.huber_px / e;
+      // Beyond the limit psi has one length: it changes with the direction only.
+      const double slope = e <= options.huber_px ? 1.0 : o.edgelet ? 0.0 : 0.5 * w;
+      all.add(w * r, slope, o.edgelet ? 1 : 2, 0.0);
+      if (!o.edgelet) band[o.pose].add(w * r, slope, 2, o.px.y() / camera.height());
+    }
+    double sums = 0.0, squares = 0.0;
+    for (int f = 0; f < pose_count; ++f) {
+      band[f].close_picture();
+      sums += band[f].band_sum_square();
+      squares += band[f].band_square();
+    }
+    const double variance = all.variance(3 * point_count + 6 * free_count);
+    return (variance > 0.0 ? variance : 1.0) * ResidualSpread::design_effect(sums, squares);
+  }
+
+  // One camera does not know how large the world is. What is said here is said in the map's own units, so the mode that
+  // scales everything about the centre gets the information of a known scale.
+  void hold_scale() {
+    constexpr double kSigma = 1e-3;
+    const Vec3 centre = -(pose[0].R.transpose() * pose[0].t);
+    Eigen::Map<Eigen::VectorXd> mode(rhs.data(), 6 * free_count);
+    for (int f = 0; f < free_count; ++f) {
+      mode.segment<3>(6 * f) = pose[f] * centre;
+      mode.segment<3>(6 * f + 3).setZero();
+    }
+    const double norm2 = mode.squaredNorm();
+    if (!(norm2 > 1e-12)) return;
+    const double information = 1.0 / (kSigma * kSigma * norm2 * norm2);
+    for (int r = 0; r < 6 * free_count; ++r)
+      for (int c = 0; c <= r; ++c) S[static_cast<std::size_t>(r * kDim + c)] += information * mode(r) * mode(c);
+  }
+
+  // Schur complement over the points, damped by lambda, into S and rhs.
+  void eliminate_points(double lambda) {
     const int n = 6 * free_count;
     for (int i = 0; i < n; ++i) std::fill_n(&S[i * kDim], n, 0.0);
     for (int f = 0; f < free_count; ++f) {
@@ -247,7 +269,13 @@ struct BundleAdjuster::Impl {
         }
       }
     }
-    if (!cholesky_solve(S.data(), n, kDim, rhs.data())) return false;
+  }
+
+  bool solve(double lambda) {
+    const int n = 6 * free_count;
+    eliminate_points(lambda);
+    if (!cholesky_factor(S.data(), n, kDim)) return false;
+    cholesky_substitute(S.data(), n, kDim, rhs.data());
     for (int f = 0; f < pose_count; ++f) {
       if (f < free_count) {
         const Vec6 dx = Eigen::Map<const Vec6>(&rhs[6 * f]);
@@ -325,6 +353,43 @@ BundleReport BundleAdjuster::run(Map* map, int centre) {
   }
   report.outliers = s.outlier_count;
   return report;
+}
+
+void BundleAdjuster::shares(const Map& map, MapShares* out) {
+  Impl& s = *impl_;
+  out->centre = 0;
+  out->count = 0;
+  const int n = 6 * s.free_count;
+  if (n == 0) return;
+  s.linearize();
+  const double variance = s.noise_variance();
+  const Mat6 H_centre = s.Hpp[0];
+  s.eliminate_points(0.0);
+  // Where no keyframe was held, one must be: only what is relative counts.
+  if (s.pose_count == s.free_count && s.free_count > 1)
+    for (int i = n - 6; i < n; ++i) s.S[i * Impl::kDim + i] += 1e8;
+  s.hold_scale();
+  if (!cholesky_factor(s.S.data(), n, Impl::kDim)) return;
+  cholesky_invert_factor(s.S.data(), n, Impl::kDim);
+  const auto block = [&](int a, int b) { return cholesky_inverse_block<6>(s.S.data(), n, Impl::kDim, 6 * a, 6 * b); };
+  const Mat6 own = Eigen::LDLT<Mat6>(H_centre).solve(Mat6::Identity());
+  const Mat6 C_centre = block(0, 0);
+  const auto add = [&](int place, const Mat6& share) {
+    if (out->count < MapShares::kMax && share.allFinite())
+      out->share[static_cast<std::size_t>(out->count++)] = {map.keyframe(place).id, variance * share};
+  };
+  add(s.pose_place[0], own);
+  for (int f = 1; f < s.pose_count; ++f) {
+    if (f >= s.free_count) {
+      if (map.keyframe(s.pose_place[f]).id == 1) add(s.pose_place[f], C_centre - own);
+      continue;
+    }
+    // exp(x_0) T_0 (exp(x_f) T_f)^-1 = exp(x_0 - Ad x_f) T_0f.
+    const Mat6 ad = adjoint(s.pose[0] * s.pose[f].inverse());
+    const Mat6 cross = block(0, f) * ad.transpose();
+    add(s.pose_place[f], C_centre - cross - cross.transpose() + ad * block(f, f) * ad.transpose() - own);
+  }
+  out->centre = map.keyframe(s.pose_place[0]).id;
 }
 
 int BundleAdjuster::moved_keyframe_count() const {

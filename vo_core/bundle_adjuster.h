@@ -10,6 +10,7 @@
 #include "vo_core/camera_model.h"
 #include "vo_core/geometry.h"
 #include "vo_core/map.h"
+#include "vo_core/pose_certainty.h"
 
 namespace godwit::vo {
 
@@ -47,6 +48,11 @@ class BundleAdjuster {
   /// are held fixed. Writes poses and points into the map. Keyframe with id 1 is never moved (gauge).
   /// No allocation; bounded.
   BundleReport run(Map* map, int centre);
+
+  /// After run(): how certain the centre is relative to the other keyframes that were adjusted with it, from the
+  /// information at the solution and the noise that the residuals show. Of centre 0 when nothing was adjusted or the
+  /// information does not suffice. No allocation; bounded; costs about as much as one iteration.
+  void shares(const Map& map, MapShares* out);
 
   /// After run(): places of the keyframes that moved, indices of points that moved, outlier observations.
   int moved_keyframe_count() const;

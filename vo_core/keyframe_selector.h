@@ -1,6 +1,7 @@
 // When a tracked frame becomes a keyframe. Pure logic over figures of the frame.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace godwit::vo {
@@ -32,6 +33,11 @@ struct KeyframeFigures {
 };
 
 enum class KeyframeReason : std::uint8_t { kNone, kMoved, kTurned, kFeaturesDropped, kUncovered };
+
+inline const char* keyframe_reason_name(KeyframeReason reason) {
+  constexpr const char* kNames[] = {"", "moved", "turned", "features dropped", "uncovered"};
+  return kNames[static_cast<std::size_t>(reason)];
+}
 
 inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const KeyframeFigures& f) {
   if (f.frames_since_last < o.min_frames) return KeyframeReason::kNone;

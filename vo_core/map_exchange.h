@@ -13,6 +13,7 @@
 #include "vo_core/camera_model.h"
 #include "vo_core/coarse_mask.h"
 #include "vo_core/map.h"
+#include "vo_core/pose_certainty.h"
 
 namespace godwit::vo {
 
@@ -122,14 +123,17 @@ struct MapDelta {
   std::array<DeltaNewPoint, kMaxMovedPoints> moved_points;
   std::array<DeltaNewPoint, kMaxNewPoints> new_points;
   std::array<DeltaNewFeature, kMaxNewFeatures> new_features;
+  MapShares shares;  ///< how certain the moved keyframes are
 
   void clear() {
     removed_observation_count = removed_point_count = removed_keyframe_count = moved_keyframe_count = 0;
     moved_point_count = new_point_count = new_feature_count = 0;
+    shares.centre = 0;
+    shares.count = 0;
   }
   bool empty() const {
     return removed_observation_count + removed_point_count + removed_keyframe_count + moved_keyframe_count +
-               moved_point_count + new_point_count + new_feature_count ==
+               moved_point_count + new_point_count + new_feature_count + shares.count ==
            0;
   }
 };

@@ -379,6 +379,7 @@ void Mapper::find_observations(PointHandle h, int host) {
 
 void Mapper::adjust(int place) {
   report_.bundle = bundle_.run(&map_, place);
+  bundle_.shares(map_, &delta_->shares);
   for (int i = 0; i < bundle_.outlier_count(); ++i) {
     const Observation o = bundle_.outlier(i);
     const PointHandle h = map_.keyframe(o.keyframe).features[o.feature].point;

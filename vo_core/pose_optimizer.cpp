@@ -118,6 +118,7 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   if (result.inliers < 10) return result;
   Eigen::LDLT<Mat6> ldlt(H);
   if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return result;
+  result.weight_scale = scale;
   result.freedom -= 6;
   result.rms_px = std::sqrt(sum_px / result.inliers);
   const double wider = std::max(1.0, result.chi_square / result.freedom);

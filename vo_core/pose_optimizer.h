@@ -30,10 +30,11 @@ struct PoseOptimizerOptions {
 struct PoseOptimizerResult {
   int inliers = 0;
   int measurements = 0;
-  double rms_px = 0.0;       ///< of the inliers [px]
-  double sigma_scale = 1.0;  ///< robust estimate of the noise in units of the stated sigmas
-  double chi_square = 0.0;   ///< of the inliers against their stated sigmas
-  int freedom = 0;           ///< its degrees of freedom: coordinates measured less six
+  double rms_px = 0.0;        ///< of the inliers [px]
+  double sigma_scale = 1.0;   ///< robust estimate of the noise in units of the stated sigmas
+  double weight_scale = 1.0;  ///< stated sigmas by this: what the weights took for one sigma
+  double chi_square = 0.0;    ///< of the inliers against their stated sigmas
+  int freedom = 0;            ///< its degrees of freedom: coordinates measured less six
   /// Of the left twist (v, w) of T_cam_world: as the stated sigmas have it, and larger where the residuals are.
   Mat6 covariance = Mat6::Identity();
   bool ok = false;

@@ -26,6 +26,8 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
       relocaliser_(std::make_unique<Relocaliser>(camera_, options.relocaliser)),
       landmarks_(std::make_unique<LandmarkFinder>(camera_, options.landmarks)),
       gate_(camera.width(), camera.height(), options.gate),
+      noise_(options.shutter.readout_s > 0.0),
+      certainty_(options.certainty),
       health_(options.health) {}
 Tracker::~Tracker() = default;
 
@@ -152,7 +154,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_
   result->times.pose += now() - t1;
   result->measurements = p.ok ? p.inliers : 0;
   result->rms_px = p.rms_px;
-  result->covariance = p.covariance;
+  weight_scale_ = p.weight_scale;
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   if (result->measurements < min_measurements) return false;
@@ -250,12 +252,14 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
   if (!result->tracked && map_feature_count_ < options_.weak_beside) why = KeyframeReason::kNone;
+  result->keyframe_reason = why;
   bool sent = false;
   if (why != KeyframeReason::kNone && channel_->messages.free_items() >= 1) {
     const std::uint32_t id = next_keyframe_id_;
     const int place = insert_keyframe(*frame, id);
     if (place >= 0) {
       sent = send(MessageKind::kKeyframe, frame, id, place);
+      certainty_.keyframe(place, result->covariance);
       ++next_keyframe_id_;
       last_keyframe_id_ = id;
       frames_since_keyframe_ = 0;
@@ -408,6 +412,11 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     result->tracked = kind == FrameEvidence::Kind::kPose;
     result->T_world_cam = frame->T_cam_world.inverse();
+    const FrameCovariance own = noise_.covariance(
+        camera_, {measurements_.data(), static_cast<std::size_t>(match_count_)}, frame->T_cam_world, weight_scale_);
+    result->own_covariance = own.noise + own.strayed;
+    result->relative = certainty_.relative(*map_, frame->T_cam_world, frame->t_capture_ns, own.noise, own.strayed);
+    result->covariance = certainty_.in_map(*map_, result->relative);
     have_velocity_ = dt > 0.0;
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;

@@ -10,12 +10,14 @@
 #include "hal/rt/time.h"
 #include "vo_core/camera_model.h"
 #include "vo_core/coarse_mask.h"
+#include "vo_core/frame_noise.h"
 #include "vo_core/health.h"
 #include "vo_core/initializer.h"
 #include "vo_core/keyframe_selector.h"
 #include "vo_core/landmark_finder.h"
 #include "vo_core/map_channel.h"
 #include "vo_core/motion_gate.h"
+#include "vo_core/pose_certainty.h"
 #include "vo_core/pose_optimizer.h"
 #include "vo_core/relocaliser.h"
 #include "vo_core/reprojector.h"
@@ -44,16 +46,19 @@ struct FrameInput {
 
 struct FrameResult {
   State state = State::kInitialising;
-  bool tracked = false;            ///< at least min_measurements image measurements updated the pose
-  bool is_keyframe = false;        ///< also of a frame between movers that does not count as tracked
-  std::uint32_t map_id = 0;        ///< counts from 1; 0 when there is no map
-  int measurements = 0;            ///< inliers of the pose optimisation
-  int matches = 0;                 ///< aligned points
-  int shaded = 0;                  ///< of them inside the mask
-  int trials = 0;                  ///< alignments tried
-  int candidates = 0;              ///< map points projected into the picture
-  SE3 T_world_cam;                 ///< valid when tracked
-  Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world, map units and rad
+  bool tracked = false;      ///< at least min_measurements image measurements updated the pose
+  bool is_keyframe = false;  ///< also of a frame between movers that does not count as tracked
+  KeyframeReason keyframe_reason = KeyframeReason::kNone;  ///< why it should become one, even if it could not
+  std::uint32_t map_id = 0;                                ///< counts from 1; 0 when there is no map
+  int measurements = 0;                                    ///< inliers of the pose optimisation
+  int matches = 0;                                         ///< aligned points
+  int shaded = 0;                                          ///< of them inside the mask
+  int trials = 0;                                          ///< alignments tried
+  int candidates = 0;                                      ///< map points projected into the picture
+  SE3 T_world_cam;                                         ///< valid when tracked
+  Mat6 covariance = Mat6::Zero();      ///< of the left twist (v, w) of T_cam_world, map units and rad
+  Mat6 own_covariance = Mat6::Zero();  ///< the same from this frame's noise alone, the map taken for true
+  RelativePose relative;               ///< to a keyframe of the map, with its covariance
   double median_depth = 0.0;
   double rms_px = 0.0;            ///< of the inliers
   double misfit = 0.0;            ///< their chi-square over its limit (TrackerOptions::noise_allowance left out)
@@ -78,6 +83,7 @@ struct TrackerOptions {
   LandmarkFinderOptions landmarks;
   HealthOptions health;
   MotionGateOptions gate;
+  PoseCertaintyOptions certainty;
   /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
   /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
   double min_found_share = 0.10;
@@ -191,6 +197,9 @@ class Tracker {
   std::unique_ptr<Relocaliser> relocaliser_;
   std::unique_ptr<LandmarkFinder> landmarks_;
   const MotionGate gate_;
+  FrameNoise noise_;
+  double weight_scale_ = 1.0;  ///< of the last measure()
+  PoseCertainty certainty_;
   Health health_;
 
   std::uint32_t epoch_ = 0;

@@ -131,7 +131,11 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   }
   SE3 refined = current.T_cam_world;
   const PoseOptimizerResult fit = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), n), &refined);
-  result->covariance = fit.ok ? fit.covariance : Mat6::Identity();
+  result->own_covariance = fit.ok ? fit.covariance : Mat6::Identity();
+  result->relative =
+      certainty_.relative(*map_, current.T_cam_world, current.t_capture_ns, result->own_covariance, Mat6::Zero());
+  result->covariance = certainty_.in_map(*map_, result->relative);
+  certainty_.keyframe(place2, result->covariance);
   result->rms_px = fit.rms_px;
   result->median_depth = median_depth_;
   result->reason =

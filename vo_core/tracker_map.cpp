@@ -35,6 +35,8 @@ void Tracker::begin_map() {
     if (map_->keyframe(k).id != 0) release(map_->keyframe(k).slot, 1);
   map_->clear();
   landmarks_->forget();
+  certainty_.clear();
+  noise_.reset();
   initializer_.reset();
   ++epoch_;
   next_keyframe_id_ = 1;
@@ -87,6 +89,7 @@ void Tracker::apply(const MapDelta& d) {
     anchor_moved |= place == anchor;
   }
   if (anchor_moved) last_.T_cam_world = T_last_anchor * map_->keyframe(anchor).T_kf_world;
+  if (d.shares.centre != 0) certainty_.take(d.shares);
   for (int i = 0; i < d.moved_point_count; ++i)
     if (MapPoint* p = map_->find(d.moved_points[i].point)) p->p_world = d.moved_points[i].p_world;
   for (int i = 0; i < d.removed_observation_count; ++i) {

@@ -21,11 +21,12 @@ Eigen::Vector3d turn(const Eigen::Quaterniond& from, const Eigen::Quaterniond& t
 
 /// The record holds the covariance of the left twist (v, w) of T_cam_world: T_true = exp(x) T. The position of the
 /// camera in the world is then off by -R_world_cam v, its attitude by -R_world_cam w along world axes.
-Eigen::Matrix<double, 6, 6> world_covariance(const FrameRecord& record, const Eigen::Matrix3d& R_world_cam) {
+Eigen::Matrix<double, 6, 6> world_covariance(const std::array<double, 21>& covariance,
+                                             const Eigen::Matrix3d& R_world_cam) {
   Eigen::Matrix<double, 6, 6> C;
   std::size_t k = 0;
   for (int row = 0; row < 6; ++row) {
-    for (int column = row; column < 6; ++column) C(row, column) = C(column, row) = record.covariance[k++];
+    for (int column = row; column < 6; ++column) C(row, column) = C(column, row) = covariance[k++];
   }
   Eigen::Matrix<double, 6, 6> R = Eigen::Matrix<double, 6, 6>::Zero();
   R.topLeftCorner<3, 3>() = R.bottomRightCorner<3, 3>() = R_world_cam;
@@ -94,7 +95,8 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
                                      record.q_world_cam[2]);
   const Eigen::Quaterniond q_world_cam = (Eigen::Quaterniond(R_world_map_) * q_map_cam).normalized();
   const Eigen::Vector3d position = R_world_map_ * Eigen::Vector3d(record.t_world_cam.data());
-  const Eigen::Matrix<double, 6, 6> covariance = world_covariance(record, q_world_cam.toRotationMatrix());
+  const Eigen::Matrix3d R_world_cam = q_world_cam.toRotationMatrix();
+  const Eigen::Matrix<double, 6, 6> covariance = world_covariance(record.covariance, R_world_cam);
   follow_correction(record, covariance);
   s.reset_counter = jumps_;
 
@@ -104,7 +106,9 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   s.orientation = {q_world_cam.w(), q_world_cam.x(), q_world_cam.y(), q_world_cam.z()};
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = covariance;
   if (s.has_velocity) {
-    const VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, sigma_of(covariance, 0));
+    // Positions on end share what the map is off by: between them only each frame's own noise counts.
+    const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);
+    const VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, own_sigma);
     Eigen::Map<Eigen::Vector3d>(s.velocity.data()) = motion.velocity;
     for (std::size_t i = 0; i < 3; ++i) s.velocity_covariance[4 * i] = motion.velocity_variance;
   }

@@ -81,15 +81,41 @@ std::string json_scheduler(const PipelineCounters& p) {
 std::string frames_header() {
   std::string h = "t,ms,thread_cpu_ms,proc_cpu_ms,tracked,map_id,state,features,fate,keyframe,map_moved,age_ms";
   for (const char* stage : kStageNames) h += std::string(",") + stage + "_ms";
-  return h + ",reason\n";
+  return h +
+         ",keyframe_reason,map_messages,map_seeds,map_seeds_updated,map_points_new,map_keyframes,map_points,"
+         "ba_runs,ba_free,ba_fixed,ba_points,ba_observations,ba_iterations,ba_outliers,ba_rms_before_px,"
+         "ba_rms_after_px,reason\n";
+}
+
+void append_triangle(char name, std::string* out) {
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) *out += fmt::format(",{}{}{}", name, row, column);
+  }
 }
 
 std::string poses_header() {
   std::string h = "t,state,tracked,map_id,tx,ty,tz,qx,qy,qz,qw";
-  for (int row = 0; row < 6; ++row) {
-    for (int column = row; column < 6; ++column) h += fmt::format(",c{}{}", row, column);
+  append_triangle('c', &h);
+  h += ",ref_id,ref_t,rtx,rty,rtz,rqx,rqy,rqz,rqw";
+  append_triangle('r', &h);
+  return h + ",median_depth\n";
+}
+
+/// What the mapper did before this frame was done; nothing where it did nothing.
+void append_mapping(const MappingRecord& m, std::string* out) {
+  if (m.messages == 0) {
+    *out += ",,,,,,";
+  } else {
+    fmt::format_to(std::back_inserter(*out), ",{},{},{},{},{},{}", m.messages, m.seeds, m.seeds_updated, m.points_new,
+                   m.keyframes, m.points);
   }
-  return h + "\n";
+  if (m.adjustments == 0) {
+    *out += ",,,,,,,,,";
+  } else {
+    fmt::format_to(std::back_inserter(*out), ",{},{},{},{},{},{},{},{:.4f},{:.4f}", m.adjustments, m.free_keyframes,
+                   m.fixed_keyframes, m.adjusted_points, m.observations, m.iterations, m.outliers, m.rms_before_px,
+                   m.rms_after_px);
+  }
 }
 
 }  // namespace
@@ -153,6 +179,9 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
   }
   for (const rt::TimeNs ns : r.stage_ns) fmt::format_to(std::back_inserter(line_), ",{:.4f}", rt::to_ms(ns));
   line_ += ",";
+  line_ += r.keyframe_reason;
+  append_mapping(r.mapping, &line_);
+  line_ += ",";
   line_ += csv_field(r.reason.view());
   line_ += "\n";
   auto written = frames_.write(line_);
@@ -169,7 +198,21 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     append_time(r.t_source_ns, &line_);
     fmt::format_to(std::back_inserter(line_), ",{},{},{}", r.state, r.tracked ? 1 : 0, r.map_id);
     append_pose(r, ',', &line_);
-    for (const double v : r.covariance) fmt::format_to(std::back_inserter(line_), ",{}", v);
+    const auto append = [this](const auto& values) {
+      for (const double v : values) fmt::format_to(std::back_inserter(line_), ",{}", v);
+    };
+    append(r.covariance);
+    fmt::format_to(std::back_inserter(line_), ",{},", r.reference_id);
+    if (r.reference_id != 0) {
+      // In the sequence's own time; a source's clock and that of the captures differ by a constant.
+      append_time(r.t_source_ns - (r.t_capture_ns - r.t_reference_ns), &line_);
+      append(r.t_ref_cam);
+      append(r.q_ref_cam);
+      append(r.reference_covariance);
+    } else {
+      line_.append(28, ',');
+    }
+    fmt::format_to(std::back_inserter(line_), ",{}", r.median_depth);
     line_ += "\n";
     written = poses_.write(line_);
   }

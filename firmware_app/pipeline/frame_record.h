@@ -52,6 +52,17 @@ struct Measured {
   std::int32_t limit = 0;
 };
 
+/// What the mapper did between two frames.
+struct MappingRecord {
+  std::uint32_t messages = 0;                         ///< frames and keyframes it worked on; 0: nothing came back
+  std::int32_t seeds_updated = 0, points_new = 0;     ///< in all of them
+  std::int32_t seeds = 0, keyframes = 0, points = 0;  ///< after the last one
+  std::uint32_t adjustments = 0;                      ///< bundle adjustments; the rest tells of the last one
+  std::int32_t free_keyframes = 0, fixed_keyframes = 0;
+  std::int32_t adjusted_points = 0, observations = 0, iterations = 0, outliers = 0;
+  double rms_before_px = 0, rms_after_px = 0;
+};
+
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
 struct FrameRecord {
   std::uint32_t sequence = 0;
@@ -75,9 +86,21 @@ struct FrameRecord {
   const char* state = "";  ///< static text; set for processed frames
   std::array<double, 3> t_world_cam{};
   std::array<double, 4> q_world_cam{};  ///< x y z w
-  std::array<double, 21> covariance{};  ///< upper triangle by rows: translation, then rotation vector
-  Measured why;                         ///< why the state is what it is; processed frames
-  ShortText reason;                     ///< the same in words, or why the picture was not flown
+  /// Covariances: of the left twist (v, w) of the camera's pose, T_cam_true = exp(x) T_cam, that is along the camera's
+  /// axes [map units, rad]; upper triangle by rows. Of the pose in its map, everything counted:
+  std::array<double, 21> covariance{};
+  std::array<double, 21> own_covariance{};  ///< of this frame's noise alone, the map taken for true
+  /// The reference keyframe, the pose relative to it (camera to keyframe) and the covariance of that.
+  std::uint32_t reference_id = 0;  ///< counts from 1 in each map; 0: there is none
+  rt::TimeNs t_reference_ns = 0;   ///< its capture time
+  std::array<double, 3> t_ref_cam{};
+  std::array<double, 4> q_ref_cam{};  ///< x y z w
+  std::array<double, 21> reference_covariance{};
+  double median_depth = 0;           ///< of the points behind the pose [map units]
+  const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
+  MappingRecord mapping;             ///< what the mapper has done since the frame before
+  Measured why;                      ///< why the state is what it is; processed frames
+  ShortText reason;                  ///< the same in words, or why the picture was not flown
 };
 
 }  // namespace godwit::app

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "firmware_app/pipeline/mask_exchange.h"
+#include "hal/rt/spsc_ring.h"
 #include "vo_core/mapper.h"
 #include "vo_core/pyramid.h"
 #include "vo_core/tracker.h"
@@ -59,6 +60,7 @@ class OdometryStage final : public FrameStage {
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
     if (masks_ != nullptr) exchange_.frame_done(frame.meta.t_capture_ns, result);
     fill(result, record);
+    take_mapping(&record->mapping);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -69,6 +71,7 @@ class OdometryStage final : public FrameStage {
 
   bool map_step() override {
     const bool worked = mapper_->step();
+    if (worked) tell_mapping();
     vo::SlotRelease release;
     while (mapper_->take_release(&release)) mapper_return_.give_back(release.slot, release.count);
     return worked;
@@ -105,6 +108,7 @@ class OdometryStage final : public FrameStage {
     record->tracked = result.tracked;
     record->has_pose = result.tracked || result.state == vo::State::kCoasting;
     record->is_keyframe = result.is_keyframe;
+    record->keyframe_reason = vo::keyframe_reason_name(result.keyframe_reason);
     record->map_moved = result.map_moved;
     Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = result.moved_by;
     Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = result.turned_by;
@@ -117,12 +121,54 @@ class OdometryStage final : public FrameStage {
     if (result.reason[0] != '\0')
       record->reason.assign_measured(result.reason, result.reason_value, result.reason_limit);
     if (!record->has_pose) return;
-    const Eigen::Quaterniond q = result.T_world_cam.quaternion();
-    record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
+    fill_pose(result.T_world_cam, &record->t_world_cam, &record->q_world_cam);
+    record->covariance = upper_triangle(result.covariance);
+    record->own_covariance = upper_triangle(result.own_covariance);
+    record->median_depth = result.median_depth;
+    const vo::RelativePose& relative = result.relative;
+    record->reference_id = relative.keyframe_id;
+    record->t_reference_ns = relative.t_keyframe_ns;
+    fill_pose(relative.T_ref_cam, &record->t_ref_cam, &record->q_ref_cam);
+    record->reference_covariance = upper_triangle(relative.covariance);
+  }
+
+  static void fill_pose(const vo::SE3& T, std::array<double, 3>* t, std::array<double, 4>* q) {
+    Eigen::Map<Eigen::Vector3d>(t->data()) = T.t;
+    Eigen::Map<Eigen::Vector4d>(q->data()) = T.quaternion().coeffs();
+  }
+
+  static std::array<double, 21> upper_triangle(const vo::Mat6& C) {
+    std::array<double, 21> out;
     std::size_t k = 0;
-    for (int row = 0; row < 6; ++row) {
-      if (row < 3) record->t_world_cam[static_cast<std::size_t>(row)] = result.T_world_cam.t[row];
-      for (int column = row; column < 6; ++column) record->covariance[k++] = result.covariance(row, column);
+    for (int row = 0; row < 6; ++row)
+      for (int column = row; column < 6; ++column) out[k++] = C(row, column);
+    return out;
+  }
+
+  // Mapper thread. The tracker's half is take_mapping. What finds no room is dropped and missing in the log only.
+  void tell_mapping() { reports_.try_push(mapper_->report()); }
+
+  // Tracker thread. All that came back since the last frame, as one.
+  void take_mapping(MappingRecord* out) {
+    vo::MapperReport r;
+    for (std::size_t i = 0; i < kReports && reports_.try_pop(&r); ++i) {
+      ++out->messages;
+      out->seeds_updated += r.seeds_updated;
+      out->points_new += r.points_new;
+      out->seeds = r.seeds;
+      out->keyframes = r.keyframes;
+      out->points = r.points;
+      const vo::BundleReport& b = r.bundle;
+      if (b.iterations == 0) continue;
+      ++out->adjustments;
+      out->free_keyframes = b.free_keyframes;
+      out->fixed_keyframes = b.fixed_keyframes;
+      out->adjusted_points = b.points;
+      out->observations = b.observations;
+      out->iterations = b.iterations;
+      out->outliers = b.outliers;
+      out->rms_before_px = b.rms_before_px;
+      out->rms_after_px = b.rms_after_px;
     }
   }
 
@@ -134,6 +180,8 @@ class OdometryStage final : public FrameStage {
   std::unique_ptr<vo::MapChannel> channel_;
   std::unique_ptr<vo::Tracker> tracker_;
   std::unique_ptr<vo::Mapper> mapper_;
+  static constexpr std::size_t kReports = 16;  ///< more than there are messages
+  rt::SpscRing<vo::MapperReport, kReports> reports_;
   // Tracker's own.
   MaskExchange exchange_;  ///< used only with masks
   double feature_share_ = 1.0;

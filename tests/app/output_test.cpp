@@ -161,8 +161,21 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   FrameRecord coasted = tracked_frame(3);
   coasted.tracked = false;
   coasted.state = "COASTING";
-  for (const FrameRecord& r : {first, tracked_frame(1), bad, coasted, tracked_frame(4)})
-    ASSERT_TRUE(writer.take(r).ok());
+  FrameRecord judged = tracked_frame(4);
+  judged.t_capture_ns = 7'000'000'000;  // another clock than the source's
+  judged.reference_id = 7;
+  judged.t_reference_ns = judged.t_capture_ns - 550'000'000;
+  judged.t_ref_cam = {0.5, 0, 0};
+  judged.q_ref_cam = {0, 0, 0, 1};
+  judged.reference_covariance.front() = 0.25;
+  judged.reference_covariance.back() = 0.125;
+  judged.median_depth = 3.5;
+  judged.keyframe_reason = "turned";
+  judged.mapping.messages = 2;
+  judged.mapping.points = 300;
+  judged.mapping.adjustments = 1;
+  judged.mapping.rms_after_px = 0.25;
+  for (const FrameRecord& r : {first, tracked_frame(1), bad, coasted, judged}) ASSERT_TRUE(writer.take(r).ok());
   ASSERT_TRUE(writer.finish({"1.2.3", "a \"quoted\" folder", "sequential", "max", 7, ""}).ok());
 
   const auto trajectory = lines_of(read_file(folder / "out/trajectory.tum"));
@@ -184,11 +197,30 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   EXPECT_EQ(field(frames[0], frames[3], "fate"), "bad");
   EXPECT_EQ(field(frames[0], frames[3], "state"), "TRACKING") << "the state that holds meanwhile";
   EXPECT_EQ(field(frames[0], frames[4], "tracked"), "0") << "a coasted pose is not tracked";
+  for (const std::string& line : {frames[1], frames[2], frames[5]})
+    EXPECT_EQ(fields_of(line).size(), fields_of(frames[0]).size()) << line;
+  EXPECT_EQ(field(frames[0], frames[2], "keyframe_reason"), "");
+  EXPECT_EQ(field(frames[0], frames[2], "map_messages"), "") << "the mapper did nothing";
+  EXPECT_EQ(field(frames[0], frames[5], "keyframe_reason"), "turned");
+  EXPECT_EQ(field(frames[0], frames[5], "map_messages"), "2");
+  EXPECT_EQ(field(frames[0], frames[5], "map_points"), "300");
+  EXPECT_EQ(field(frames[0], frames[5], "ba_runs"), "1");
+  EXPECT_EQ(field(frames[0], frames[5], "ba_rms_after_px"), "0.2500");
 
   const auto poses = lines_of(read_file(folder / "out/pose.csv"));
   ASSERT_EQ(poses.size(), 4u) << "two tracked and one coasted";
   EXPECT_EQ(field(poses[0], poses[2], "state"), "COASTING");
-  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u);
+  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u + 9u + 21u + 1u);
+  for (const std::string& line : poses) EXPECT_EQ(fields_of(line).size(), fields_of(poses[0]).size()) << line;
+  EXPECT_EQ(field(poses[0], poses[1], "ref_id"), "0") << "no reference is told as none";
+  EXPECT_EQ(field(poses[0], poses[1], "ref_t"), "");
+  EXPECT_EQ(field(poses[0], poses[3], "ref_id"), "7");
+  EXPECT_EQ(field(poses[0], poses[3], "ref_t"), "1403636584.413555584") << "in the source's time, 0.55 s before";
+  EXPECT_EQ(field(poses[0], poses[3], "rtx"), "0.5");
+  EXPECT_EQ(field(poses[0], poses[3], "rqw"), "1");
+  EXPECT_EQ(field(poses[0], poses[3], "r00"), "0.25");
+  EXPECT_EQ(field(poses[0], poses[3], "r55"), "0.125");
+  EXPECT_EQ(field(poses[0], poses[3], "median_depth"), "3.5");
 
   const std::string summary = read_file(folder / "out/summary.json");
   EXPECT_THAT(summary, HasSubstr("\"frames\": 5,"));

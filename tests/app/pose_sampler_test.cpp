@@ -36,6 +36,7 @@ FrameRecord record_at(int frame, const vo::SE3& T_world_cam) {
   r.q_world_cam = {q.x(), q.y(), q.z(), q.w()};
   Eigen::Map<Vec3>(r.t_world_cam.data()) = T_world_cam.t;
   for (std::size_t i = 0; i < 6; ++i) r.covariance[std::array<std::size_t, 6>{0, 6, 11, 15, 18, 20}[i]] = 1e-6;
+  r.own_covariance = r.covariance;
   return r;
 }
 
@@ -121,6 +122,18 @@ TEST(PoseSampler, VelocityVarianceIsThatOfItsErrors) {
     }
   }
   EXPECT_NEAR(squared / told, 1.0, 0.15) << n;
+}
+
+TEST(PoseSampler, WhatTheMapIsOffByIsNoNoiseOfTheVelocity) {
+  PoseSampler sure(Mat3::Identity()), adrift(Mat3::Identity());
+  for (int i = 0; i < 10; ++i) {
+    FrameRecord r = record_at(i, cruise(i / 30.0));
+    const link::PoseSample near = sure.sample(r);
+    for (double& c : r.covariance) c *= 1e4;  // far from where the map began
+    const link::PoseSample far = adrift.sample(r);
+    EXPECT_GT(far.covariance[0], 1e3 * near.covariance[0]);
+    EXPECT_EQ(far.velocity_covariance, near.velocity_covariance);
+  }
 }
 
 // Perturbs T_cam_world by twists drawn from the record's covariance and looks at what becomes of position and attitude.

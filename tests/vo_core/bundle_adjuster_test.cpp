@@ -1,7 +1,10 @@
 #include "vo_core/bundle_adjuster.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <cmath>
 #include <gtest/gtest.h>
+#include <memory>
 #include <random>
 #include <vector>
 
@@ -18,8 +21,8 @@ struct World {
   std::vector<Vec3> points;
   std::vector<SE3> poses;
 
-  explicit World(double noise_px) {
-    std::mt19937 random(5);
+  explicit World(double noise_px, unsigned seed = 5) {
+    std::mt19937 random(seed);
     std::uniform_real_distribution<double> xy(-1.0, 1.0), z(1.5, 4.0);
     std::normal_distribution<double> noise(0.0, noise_px);
     for (int i = 0; i < 150; ++i) {
@@ -115,6 +118,49 @@ TEST(StructureOptimizer, FindsTheMiddleOfItsObservations) {
   const double rms = optimize_structure(w.camera, w.map, p, 10, &guess);
   EXPECT_LT(rms, 1e-3);
   EXPECT_LT((guess - w.points[7]).norm(), 1e-3);
+}
+
+// Many worlds, adjusted: how far the newest keyframe is off relative to each other one, against what is told.
+TEST(BundleAdjuster, TellsHowCertainTheCentreIs) {
+  double squared = 0.0;
+  int freedom = 0;
+  for (unsigned seed = 1; seed <= 40; ++seed) {
+    auto w = std::make_unique<World>(0.3, seed);
+    BundleAdjusterOptions options;
+    options.max_iterations = 6;
+    BundleAdjuster bundle(w->camera, options);
+    ASSERT_EQ(bundle.run(&w->map, 5).free_keyframes, 5);
+    MapShares shares;
+    bundle.shares(w->map, &shares);
+    ASSERT_EQ(shares.centre, 6u);
+    ASSERT_EQ(shares.count, 6);
+    ASSERT_EQ(shares.share[0].keyframe_id, 6u) << "first what the centre's own noise makes of it";
+    const SE3& T_n = w->map.keyframe(5).T_kf_world;
+    for (int i = 1; i < shares.count; ++i) {
+      const MapShare& share = shares.share[static_cast<std::size_t>(i)];
+      const int k = static_cast<int>(share.keyframe_id) - 1;
+      // Own noise and the map's share make the whole.
+      const Mat6 C = shares.share[0].covariance + share.covariance;
+      EXPECT_GE(share.covariance.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), -1e-9 * C.norm());
+      const SE3 told = T_n * w->map.keyframe(k).T_kf_world.inverse();
+      const SE3 truth = w->poses[5] * w->poses[static_cast<std::size_t>(k)].inverse();
+      // Rotation, and direction of the keyframe seen from the centre: how long the way is, one camera cannot know.
+      const Vec3 d = told.t.normalized(), first = d.unitOrthogonal(), second = d.cross(first);
+      Eigen::Matrix<double, 5, 1> error;
+      error.head<3>() = so3_log(truth.R * told.R.transpose());
+      error.tail<2>() << first.dot(truth.t.normalized()), second.dot(truth.t.normalized());
+      Eigen::Matrix<double, 2, 3> B;
+      B << first.transpose(), second.transpose();
+      Eigen::Matrix<double, 5, 6> J = Eigen::Matrix<double, 5, 6>::Zero();
+      J.topRightCorner<3, 3>().setIdentity();
+      J.bottomLeftCorner<2, 3>() = B / told.t.norm();
+      J.bottomRightCorner<2, 3>() = -B * skew(d);
+      const Eigen::Matrix<double, 5, 5> P = J * C * J.transpose();
+      squared += error.dot(P.ldlt().solve(error));
+      freedom += 5;
+    }
+  }
+  EXPECT_NEAR(squared / freedom, 1.0, 0.3);
 }
 
 }  // namespace
