@@ -1,0 +1,171 @@
+// Visual poses and inertial readings in, metres and the vertical out: when it begins, what it refuses, what it says of
+// itself.
+#include "vo_core/inertial_odometry.h"
+
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <gtest/gtest.h>
+#include <limits>
+#include <memory>
+
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
+#include "tests/vo_core/inertial_flight.h"
+
+namespace godwit::vo {
+namespace {
+
+using test::Flight;
+
+/// Flies at 20 pictures and 200 readings a second, and remembers what was told.
+class Flown {
+ public:
+  explicit Flown(Flight* flight) : flight_(*flight) {
+    InertialOdometryOptions options;
+    options.model = flight->model_;
+    odometry_ = std::make_unique<InertialOdometry>(flight->mounting_, options);
+  }
+
+  MetricPose frame(int k) {
+    const double t = k / 20.0;
+    for (int i = 1; i <= 10; ++i) {
+      if (silent_) continue;
+      ImuReading r = flight_.reading(t - 0.05 + i / 200.0);
+      r.gyro_rad_s += flight_.model_.imu.gyro * std::sqrt(200.0) * flight_.random();
+      r.accel_m_s2 += flight_.model_.imu.accel * std::sqrt(200.0) * flight_.random();
+      if (poison_) r.accel_m_s2.y() = std::numeric_limits<double>::quiet_NaN();
+      odometry_->add(r);
+    }
+    const InertialNode seen = flight_.node(k, {});
+    VisualPose pose;
+    pose.t_ns = seen.t_ns;
+    pose.tracked = tracked_;
+    pose.map_id = map_id_;
+    pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
+    pose.covariance = 1e-9 * Mat6::Identity();
+    return odometry_->frame(pose);
+  }
+  /// The camera's true place.
+  Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
+
+  Flight& flight_;
+  std::unique_ptr<InertialOdometry> odometry_;
+  bool silent_ = false, poison_ = false, tracked_ = true;
+  std::uint32_t map_id_ = 1;
+};
+
+TEST(InertialOdometry, BecomesMetricAndLevelAndItsCovarianceHolds) {
+  double nees = 0, tilt = 0, speed2 = 0;
+  int told = 0;
+  constexpr int kFlights = 12;
+  for (unsigned seed = 1; seed <= kFlights; ++seed) {
+    Flight f(1.0, 300 + seed);
+    Flown flown(&f);
+    int begun = -1;
+    Vec3 p_first = Vec3::Zero(), q_first = Vec3::Zero();
+    Mat3 turn = Mat3::Identity();  // the gauge: heading and place where it began
+    for (int k = 0; k < 160; ++k) {
+      const MetricPose pose = flown.frame(k);
+      if (!pose.valid) {
+        ASSERT_LT(begun, 0) << "once metric it stays so";
+        continue;
+      }
+      const double t = k / 20.0;
+      const Mat3 R_cam = f.R(t) * f.mounting_.R_body_cam;
+      if (begun < 0) {
+        begun = k;
+        const Mat3 D = pose.T_nav_cam.R * R_cam.transpose();
+        turn = so3_exp(Vec3(0, 0, std::atan2(D(1, 0) - D(0, 1), D(0, 0) + D(1, 1))));
+        p_first = flown.camera(t);
+        q_first = pose.T_nav_cam.t;
+        continue;
+      }
+      const Vec3 e = turn * (flown.camera(t) - p_first) - (pose.T_nav_cam.t - q_first);
+      nees += e.dot(pose.covariance.topLeftCorner<3, 3>().llt().solve(e)) / 3;
+      tilt += angle_between(pose.T_nav_cam.R.transpose() * Vec3::UnitZ(), R_cam.transpose() * Vec3::UnitZ());
+      const Vec3 v = (flown.camera(t + 1e-4) - flown.camera(t - 1e-4)) / 2e-4;
+      speed2 += (turn * v - pose.velocity_m_s).squaredNorm() / 3;
+      ++told;
+    }
+    ASSERT_GE(begun, 0);
+    EXPECT_LE(begun, 40) << "within two seconds";
+  }
+  ASSERT_GT(told, 12 * 100);
+  EXPECT_LT(nees / told, 2.0);
+  EXPECT_GT(nees / told, 0.05);
+  EXPECT_LT(tilt / told, 0.012);
+  EXPECT_LT(std::sqrt(speed2 / told), 0.05);
+}
+
+TEST(InertialOdometry, AtRestItWaitsAndSaysWhy) {
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    Flight f(1e-6, seed);
+    Flown flown(&f);
+    for (int k = 0; k < 200; ++k) ASSERT_FALSE(flown.frame(k).valid) << "seed " << seed << ", frame " << k;
+    EXPECT_NE(flown.odometry_->refusal().text[0], '\0');
+  }
+}
+
+TEST(InertialOdometry, NothingThatIsNoNumberLeavesIt) {
+  Flight f(1.0, 5);
+  Flown flown(&f);
+  for (int k = 0; k < 120; ++k) {
+    flown.poison_ = k >= 60 && k < 70;
+    const MetricPose pose = flown.frame(k);
+    EXPECT_TRUE(pose.T_nav_cam.t.allFinite() && pose.covariance.allFinite() && pose.velocity_m_s.allFinite());
+  }
+  EXPECT_EQ(flown.odometry_->refused_readings(), 100u);
+}
+
+TEST(InertialOdometry, WithoutReadingsItIsNoLongerMetric) {
+  Flight f(1.0, 6);
+  Flown flown(&f);
+  for (int k = 0; k < 80; ++k) flown.frame(k);
+  ASSERT_TRUE(flown.odometry_->metric());
+  flown.silent_ = true;
+  for (int k = 80; k < 90; ++k) flown.frame(k);
+  EXPECT_FALSE(flown.odometry_->metric());
+  flown.silent_ = false;
+  for (int k = 90; k < 150; ++k) flown.frame(k);
+  EXPECT_TRUE(flown.odometry_->metric());
+}
+
+TEST(InertialOdometry, ANewMapIsJoinedOnWhereTheOldOneEnded) {
+  Flight f(1.0, 7);
+  Flown flown(&f);
+  MetricPose last;
+  for (int k = 0; k < 80; ++k) last = flown.frame(k);
+  ASSERT_TRUE(last.valid);
+  flown.map_id_ = 2;
+  f.scale_ = 0.7;
+  int k = 80;
+  MetricPose next;
+  while (!next.valid && k < 160) next = flown.frame(k++);
+  ASSERT_TRUE(next.valid);
+  EXPECT_LT((next.T_nav_cam.t - last.T_nav_cam.t).norm(), 1e-9) << "there is no knowing what happened in between";
+}
+
+TEST(InertialOdometry, TheGyroscopeTellsTheCamerasTurn) {
+  Flight f(1.0, 8);
+  Flown flown(&f);
+  Mat3 turn;
+  EXPECT_FALSE(flown.odometry_->camera_turn(0, 50 * rt::kNsPerMs, &turn)) << "its bias is not known yet";
+  for (int k = 0; k < 80; ++k) flown.frame(k);
+  ASSERT_TRUE(flown.odometry_->camera_turn(3900 * rt::kNsPerMs, 3950 * rt::kNsPerMs, &turn));
+  const Mat3 R0 = f.R(3.90) * f.mounting_.R_body_cam, R1 = f.R(3.95) * f.mounting_.R_body_cam;
+  EXPECT_LT(so3_log(turn.transpose() * R1.transpose() * R0).norm(), 1e-3);
+  EXPECT_FALSE(flown.odometry_->camera_turn(3900 * rt::kNsPerMs, 4100 * rt::kNsPerMs, &turn)) << "not measured yet";
+}
+
+TEST(InertialOdometry, DoesNotAllocate) {
+  Flight f(1.0, 9);
+  Flown flown(&f);
+  for (int k = 0; k < 100; ++k) {
+    const rt::RtScope real_time;
+    flown.frame(k);
+  }
+  EXPECT_TRUE(flown.odometry_->metric());
+}
+
+}  // namespace
+}  // namespace godwit::vo

@@ -1,0 +1,107 @@
+// Metres and the vertical for a visual map: beside the tracker, from its poses and an inertial sensor's readings.
+// Loosely coupled: vision's poses are taken as they are, the smoother finds what they are in metres and against
+// gravity.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "vo_core/inertial_alignment.h"
+#include "vo_core/inertial_smoother.h"
+
+namespace godwit::vo {
+
+/// What the tracker said of one frame, as much of it as counts here.
+struct VisualPose {
+  rt::TimeNs t_ns = 0;
+  bool tracked = false;
+  std::uint32_t map_id = 0;
+  SE3 T_map_cam;
+  Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_map, map units and rad
+  double median_depth = 1;         ///< [map units]
+  bool map_moved = false;          ///< the map was corrected before this frame; by it the last frame's camera
+  Vec3 moved_by = Vec3::Zero();    ///< moved [map units]
+  Vec3 turned_by = Vec3::Zero();   ///< and turned, rotation vector along the map's axes
+};
+
+struct InertialOdometryOptions {
+  InertialModel model;
+  InertialPrior prior;
+  AlignmentMethod method = AlignmentMethod::kWhole;
+  rt::TimeNs begin_node_ns = 45 * rt::kNsPerMs;   ///< shortest time between two moments until it is metric
+  rt::TimeNs node_ns = 95 * rt::kNsPerMs;         ///< and from then on
+  rt::TimeNs begin_span_ns = 400 * rt::kNsPerMs;  ///< no attempt with less
+  int window = 12;                                ///< moments kept from then on
+  /// What refuses to guess: the scale's sigma, the vertical's, and how badly all fits. At rest the scale's comes out
+  /// above 0.1: places that only seem to move carry about one unit of information each.
+  double begin_scale_sigma = 0.05;
+  double begin_up_sigma = 0.03;  ///< [rad]
+  double begin_chi2 = 3;         ///< a degree of freedom
+  /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
+  double lost_scale_sigma = 0.15;
+  rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
+  double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
+};
+
+/// Position and attitude of the camera in the navigation frame: metres, z up; origin and heading where it began.
+struct MetricPose {
+  bool valid = false;  ///< the rest means something
+  SE3 T_nav_cam;
+  Vec3 velocity_m_s = Vec3::Zero();  ///< of the camera, along the navigation frame's axes
+  Mat6 covariance = Mat6::Zero();    ///< of (position [m], rotation vector [rad]), along the navigation frame's axes
+  Mat3 velocity_covariance = Mat3::Zero();
+  double log_scale_sigma = 0;
+  /// By how much better knowledge of scale, vertical and map moved the last frame's pose [m], and turned it.
+  Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();
+};
+
+/// One thread; no allocation after the constructor. Frames and readings in the order of their times.
+class InertialOdometry {
+ public:
+  explicit InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options = {});
+
+  void add(const ImuReading& reading) { buffer_.add(reading); }
+  /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured whole.
+  bool camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const;
+  /// Takes in one frame and says what it is in metres. Bounded: one solution of the window at most.
+  MetricPose frame(const VisualPose& pose);
+
+  bool metric() const { return metric_; }
+  /// Attempts to begin, and why the last one was refused.
+  struct Refusal {
+    const char* text = "";
+    double value = 0, limit = 0;
+  };
+  const Refusal& refusal() const { return refusal_; }
+  const InertialSmoother& smoother() const { return smoother_; }
+  std::uint64_t refused_readings() const { return buffer_.refused(); }
+
+ private:
+  void begin_window(const VisualPose& pose);
+  bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
+  void try_to_begin(const VisualPose& pose);
+  bool refuse(const char* text, double value, double limit);
+  bool convincing(const InertialSmoother::Report& report);
+  void level();
+  MetricPose tell(const VisualPose& pose);
+  VisionSight sight_of(const VisualPose& pose) const;
+
+  const InertialOdometryOptions options_;
+  InertialPrior prior_;
+  ImuBuffer buffer_;
+  InertialSmoother smoother_;
+  bool metric_ = false;
+  std::uint32_t map_id_ = 0;
+  Refusal refusal_;
+  // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).
+  Mat3 R_nav_map_ = Mat3::Identity();
+  Vec3 anchor_map_ = Vec3::Zero(), anchor_nav_ = Vec3::Zero();
+  SE3 last_map_;  ///< the last pose told, as vision has it, corrections of the map taken in
+  SE3 last_nav_;  ///< the last pose told: where a new map is joined on
+  bool have_nav_ = false;
+  bool told_ = false;  ///< last_map_ is of the present window
+  Vec3 last_camera_ = Vec3::Zero();
+  double way_ = 0;  ///< flown since the anchor [map units]
+};
+
+}  // namespace godwit::vo
