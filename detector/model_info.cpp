@@ -4,13 +4,15 @@
 #include <array>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <optional>
-#include <sstream>
 #include <toml++/toml.h>
+
+#include "hal/rt/small_file.h"
 
 namespace godwit::detector {
 namespace {
+
+constexpr std::size_t kMostMetadataBytes = 1 << 20;
 
 constexpr std::array<std::string_view, 9> kKeys = {"layout",    "input_width", "input_height", "channel_order", "scale",
                                                    "letterbox", "fill",        "classes",      "movable"};
@@ -128,11 +130,12 @@ rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view n
 
 rt::Result<ModelInfo> read_model_info(const std::string& model_path) {
   const std::string path = std::filesystem::path(model_path).replace_extension(".toml").string();
-  std::ifstream file(path, std::ios::binary);
-  if (!file) return rt::Error{path + ": cannot be opened; a model needs its metadata file beside it"};
-  std::ostringstream text;
-  text << file.rdbuf();
-  return parse_model_info(text.str(), path);
+  const auto text = rt::read_small_file(path, kMostMetadataBytes);
+  if (!text) {
+    if (std::filesystem::exists(path)) return text.error();
+    return rt::Error{path + ": cannot be opened; a model needs its metadata file beside it"};
+  }
+  return parse_model_info(text.value(), path);
 }
 
 }  // namespace godwit::detector

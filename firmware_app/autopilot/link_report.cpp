@@ -24,7 +24,7 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
   const std::uint64_t lost = s.tx.poses_replaced + s.tx.refused + s.tx.abandoned;
   if (lost + s.bus.bus_off + s.bus.reopened + s.reception.errors() > 0) {
     lines.push_back(
-        fmt::format("bus: {} messages dropped whole, {} of them poses; bus-off {} times, opened again {} times; "
+        fmt::format("sending: {} messages dropped whole, {} of them poses; bus-off {} times, opened again {} times; "
                     "{} frames of others could not be put together",
                     lost, s.tx.poses_replaced, s.bus.bus_off, s.bus.reopened, s.reception.errors()));
   }

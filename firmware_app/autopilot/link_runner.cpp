@@ -161,6 +161,14 @@ void LinkRunner::watch(const link::LinkStatus& s) {
     tell(s.bus_state == hal::CanState::kActive ? LinkLogLevel::kInfo : LinkLogLevel::kWarning,
          std::string("the bus is ") + bus_state_text(s.bus_state));
   }
+  if (s.mavlink.foreign_heartbeats != 0 && told_.mavlink.foreign_heartbeats == 0) {
+    tell(LinkLogLevel::kWarning, "the HEARTBEAT of another autopilot is ignored: system " +
+                                     std::to_string(s.mavlink.foreign_system) + ", component " +
+                                     std::to_string(s.mavlink.foreign_component));
+  }
+  if (s.own_id_heard && !told_.own_id_heard) {
+    tell(LinkLogLevel::kWarning, "another node speaks under our node id " + std::to_string(s.node_id));
+  }
   if (s.latency.grew && !told_.latency.grew) {
     tell(LinkLogLevel::kWarning, "the latency grew: set VISO_DELAY_MS anew, or find what slows this computer down");
   }

@@ -52,6 +52,8 @@ class LinkRunner final : public FrameTap {
   const std::atomic<bool>& stop() const { return stop_; }
   bool restart_due() const { return restart_due_.load(std::memory_order_relaxed); }
 
+  /// Tracker thread.
+  void frame_begun() override { service_->frame_begun(); }
   /// Tracker thread: sends the frame's pose. No allocation, no lock, no wait.
   void frame_done(const FrameRecord& record) override;
   /// Tracker thread.

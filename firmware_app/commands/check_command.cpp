@@ -3,8 +3,11 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <fmt/format.h>
+#include <optional>
 
+#include "firmware_app/config/link_settings.h"
 #include "firmware_app/flight/config_check.h"
+#include "firmware_app/link/saved_parameters.h"
 #include "firmware_app/program/exit_code.h"
 
 namespace godwit::app {
@@ -32,6 +35,17 @@ int run_check(const CheckArguments& a) {
     fmt::print(stderr, "{}: {} mistake{}\n", a.config_file, report.mistakes.size(),
                report.mistakes.size() == 1 ? "" : "s");
     return kExitRefused;
+  }
+  const link::LinkSettings settings = link_settings(report.config, std::nullopt);
+  if (wants_link(report.config) && !settings.state_folder.empty()) {
+    link::StoredState saved = link::Storage(settings.state_folder).peek(settings.link.parameters);
+    // Whether the interface takes CAN FD is seen when it is opened.
+    link::drop_what_does_not_fit(settings.link.parameters, {!settings.can.empty(), !settings.mavlink.empty(), true},
+                                 &saved);
+    for (const std::string& line : saved.warnings) fmt::print("{}: warning: {}\n", a.config_file, line);
+    for (const std::string& line : link::overrides(settings.link.parameters, saved)) {
+      fmt::print("{}: {}\n", a.config_file, line);
+    }
   }
   fmt::print("{}: ok\n", a.config_file);
   return kExitDone;

@@ -113,6 +113,7 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
   settings.link.first_pose_timeout_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
   settings.link.mavlink.attitude_hz = 20;
+  settings.collect_inputs = true;
   auto opened = link::LinkService::open(settings);
   if (!opened) {
     report->wrong(opened.error().message);
@@ -128,15 +129,20 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   while (running(give_up) && !node.endpoint().autopilot_alive(rt::monotonic_now_ns())) step(service.get());
   const bool through_bus = config.link.mavlink.empty();
   if (!node.endpoint().autopilot_alive(rt::monotonic_now_ns())) {
+    if (through_bus && node.status().bus.received == 0) {
+      report->wrong("bus: not a frame of anybody came in 5 s: wiring, termination, bit rate, or nobody else is on it");
+    }
     report->wrong(
         through_bus ? fmt::format("autopilot: no HEARTBEAT through the tunnel in 5 s. Is its node id {} (can.autopilot_"
                                   "node, CAN_D1_UC_NODE)? Set CAN_P1_DRIVER 1, CAN_D1_PROTOCOL 1, CAN_D1_UC_SER_EN 1, "
-                                  "restart it, then CAN_D1_UC_S1_NOD {}, CAN_D1_UC_S1_IDX {}, CAN_D1_UC_S1_PRO 2",
+                                  "restart it, then CAN_D1_UC_S1_NOD {}, CAN_D1_UC_S1_IDX {}, CAN_D1_UC_S1_PRO 2, "
+                                  "and restart it again: serial ports over CAN are made at its start",
                                   config.can.autopilot_node, config.can.node_id, config.can.serial_index)
                     : "autopilot: no HEARTBEAT on " + config.link.mavlink + " in 5 s: wiring, baud rate, port");
     return service;
   }
   report->fits("autopilot: its HEARTBEAT comes");
+  report->note("while this runs there is no pose: the autopilot may say that our node is unhealthy");
   if (config.link.profile == Config::Link::Profile::kPx4) {
     report->note("autopilot: parameters of PX4 are not looked at; docs/px4.md lists them");
     return service;
@@ -156,6 +162,13 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   }
   if (findings.empty()) {
     report->fits(fmt::format("autopilot: its {} parameters fit", reader.values().size()));
+  }
+  const auto third = reader.values().find("EK3_SRC3_POSXY");
+  constexpr double kExternalNav = 6;
+  if (third == reader.values().end() || third->second != kExternalNav) {
+    report->note(
+        "source set 3 does not take vision: a switch of two positions (RCx_OPTION 90) selects sets 1 and 3, so "
+        "take one of three, or fill set 3 like set 2");
   }
   if (!viso_delay_ms) {
     report->note("VISO_DELAY_MS was not compared: fly or replay once, then give what it told by --delay-ms");

@@ -25,7 +25,7 @@ struct Config {
   } threads;
 
   struct Scheduling {
-    double deadline_ms = 33.3;   ///< a pose that stands later after its capture is a slip
+    double deadline_ms = 33.3;   ///< a pose that stands later after its delivery is a slip
     double tracker_p95_ms = 15;  ///< above: a rung of the ladder down
     double temperature_c = 85;   ///< the same
     double calm_s = 10;          ///< so long must all be well before a rung up
@@ -91,6 +91,8 @@ struct Config {
     int telemetry_rate = 10;  ///< snapshots a second
     int telemetry_base = 0x300;
     bool telemetry_fd = false;
+    bool lock_parameters = false;  ///< nobody sets, saves or erases parameters, or restarts the node, over the bus
+    std::vector<int> writers;      ///< these nodes alone may; empty: any
   } can;
 
   /// What the autopilot is told, and how.

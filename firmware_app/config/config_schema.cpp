@@ -70,6 +70,8 @@ void add_link(Config* c, std::vector<Key>* to) {
            keys::whole("can.telemetry_rate", 0, 50, &c->can.telemetry_rate),
            keys::whole("can.telemetry_base", 0, 0x7F0, &c->can.telemetry_base),
            keys::flag("can.telemetry_fd", &c->can.telemetry_fd),
+           keys::flag("can.lock_parameters", &c->can.lock_parameters),
+           keys::whole_list("can.writers", 1, 127, 16, &c->can.writers),
 
            keys::text("link.mavlink", 256, "udp:HOST:PORT or serial:DEVICE:BAUD", &c->link.mavlink),
            keys::choice<Profile>("link.profile", {{"ardupilot", Profile::kArdupilot}, {"px4", Profile::kPx4}},

@@ -87,6 +87,11 @@ link::LinkSettings link_settings(const Config& config, const std::optional<std::
   set(Parameter::kTelemetryFd, config.can.telemetry_fd ? 1 : 0);
   set(Parameter::kRequirePose, config.link.arming == Config::Link::Arming::kRequirePose ? 1 : 0);
 
+  s.link.write_rules.locked = config.can.lock_parameters;
+  for (const int node : config.can.writers) {
+    s.link.write_rules.only_nodes.push_back(static_cast<std::uint8_t>(node));
+  }
+
   link::OdometryConfig& odometry = s.link.odometry;
   if (!config.link.T_body_cam.empty() || T_body_cam.has_value()) {
     const double* numbers = config.link.T_body_cam.empty() ? T_body_cam->data() : config.link.T_body_cam.data();

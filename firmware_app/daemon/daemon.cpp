@@ -32,12 +32,15 @@ int give_up(const std::string& line) {
 /// Tells what changes; frame after frame is for the flight log.
 class Journal final : public FrameSink {
  public:
-  explicit Journal(std::string memory_refused) : memory_refused_(std::move(memory_refused)) {}
+  Journal(bool locks_memory, std::string memory_refused)
+      : locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
     if (!warning.empty()) say("warning: " + warning);
-    say("armed");
+    say(!warning.empty() ? "flying, not armed"
+        : locks_memory_  ? "armed: memory is locked, all threads run as planned"
+                         : "flying, not armed: threads.lock_memory is off");
   }
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
@@ -51,6 +54,7 @@ class Journal final : public FrameSink {
   std::uint64_t tracked() const { return tracked_; }
 
  private:
+  const bool locks_memory_;
   const std::string memory_refused_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
@@ -125,6 +129,8 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
 
   const hal::MachineMonitor machine;
+  say(machine.zones().empty() ? "no thermal zone tells this machine's temperature"
+                              : "temperature: the hottest of " + machine.zones());
   PipelineOptions options;
   options.newest_frame = true;
   options.machine = &machine;
@@ -154,7 +160,7 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   options.tap = autopilot;
   // The link's own flag is raised by its thread, which may hang.
   options.also_stop = &stop;
-  Journal journal(arm_memory(config));
+  Journal journal(config.threads.lock_memory, arm_memory(config));
   const auto run = run_pipeline(source.value().camera.get(), parts.stage.get(), parts.pool.get(), options, &journal,
                                 autopilot != nullptr ? autopilot->stop() : stop);
   if (!run) return give_up(run.error().message);

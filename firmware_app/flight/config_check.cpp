@@ -75,6 +75,18 @@ void check_for_daemon(ConfigReport* report) {
   check_on_this_machine(report);
   if (report->config.camera.source == Config::Camera::Source::kNone)
     report->mistake("camera.source", "a daemon needs a camera; \"v4l2\" or \"sim\" is allowed");
+  const Config& c = report->config;
+  if (c.camera.source == Config::Camera::Source::kSim) {
+    // vcan is none that an aircraft hangs on.
+    if (c.can.bus.starts_with("socketcan:") && !c.can.bus.starts_with("socketcan:v")) {
+      report->mistake(
+          "can.bus",
+          "a simulated camera must not steer what hangs on a real bus; multicast:N or a vcan interface is allowed");
+    }
+    if (c.link.mavlink.starts_with("serial:")) {
+      report->mistake("link.mavlink", "a simulated camera must not steer what hangs on a serial line; udp: is allowed");
+    }
+  }
   if (report->config.link.bench_metric) {
     report->mistake("link.bench_metric",
                     "in flight an autopilot would take lengths of unknown scale for metres; only false "

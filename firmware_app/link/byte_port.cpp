@@ -35,32 +35,84 @@ class UdpPort final : public BytePort {
   int fd_;
 };
 
+/// A device that is unplugged or whose driver goes away answers with an end or an error for ever: it is closed, so that
+/// nobody spins on it, and opened again when it is back.
 class SerialPort final : public BytePort {
  public:
-  explicit SerialPort(int fd) : fd_(fd) {}
-  ~SerialPort() override { close(fd_); }
+  SerialPort(std::string device, speed_t speed, double baud_rate)
+      : device_(std::move(device)), speed_(speed), baud_rate_(baud_rate) {}
+  ~SerialPort() override { leave(); }
+
+  /// Null: it is open; else what failed, with errno. No allocation.
+  const char* reopen() {
+    const int fd = open(device_.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+    if (fd < 0) return "";
+    termios mode{};
+    const char* failed = tcgetattr(fd, &mode) != 0 ? ": no serial port" : nullptr;
+    if (failed == nullptr) {
+      cfmakeraw(&mode);
+      mode.c_cflag |= CLOCAL | CREAD;
+      mode.c_cflag &= ~static_cast<tcflag_t>(CRTSCTS | CSTOPB);
+      cfsetispeed(&mode, speed_);
+      cfsetospeed(&mode, speed_);
+      if (tcsetattr(fd, TCSANOW, &mode) != 0) failed = "";
+    }
+    if (failed != nullptr) {
+      const int why = errno;
+      close(fd);
+      errno = why;
+      return failed;
+    }
+    fd_ = fd;
+    return nullptr;
+  }
+
   bool send(std::span<const std::uint8_t> message, TxClass tx_class) override {
-    if (!queue_.push(message, tx_class)) return false;
+    if (fd_ < 0 || !queue_.push(message, tx_class)) return false;
     flush();
     return true;
   }
   void flush() override {
-    for (std::size_t i = 0; i <= ByteQueue::kMessages; ++i) {
+    for (std::size_t i = 0; fd_ >= 0 && i <= ByteQueue::kMessages; ++i) {
       const auto next = queue_.front();
       if (next.empty()) return;
       const ssize_t n = write(fd_, next.data(), next.size());
-      if (n <= 0) return;
+      if (n <= 0) {
+        if (n == 0 || !passing(errno)) leave();
+        return;
+      }
       queue_.consume(static_cast<std::size_t>(n));
     }
   }
   std::size_t receive(std::span<std::uint8_t> into) override {
+    if (fd_ < 0) return 0;
     const ssize_t n = read(fd_, into.data(), into.size());
-    return n > 0 ? static_cast<std::size_t>(n) : 0;
+    if (n > 0) return static_cast<std::size_t>(n);
+    if (n == 0 || !passing(errno)) leave();
+    return 0;
   }
   int descriptor() const override { return fd_; }
+  void maintain(rt::TimeNs now_ns) override {
+    if (fd_ >= 0 || now_ns < t_next_try_ns_) return;
+    t_next_try_ns_ = now_ns + rt::kNsPerSecond;
+    if (access(device_.c_str(), F_OK) == 0) static_cast<void>(reopen() == nullptr);
+  }
+  bool gone() const override { return fd_ < 0; }
+  double baud_rate() const override { return baud_rate_; }
 
  private:
-  int fd_;
+  static bool passing(int error) { return error == EAGAIN || error == EWOULDBLOCK || error == EINTR; }
+  void leave() {
+    if (fd_ >= 0) close(fd_);
+    fd_ = -1;
+    queue_ = ByteQueue();  // half a message is none, and what waited is old
+  }
+
+  const std::string device_;
+  const speed_t speed_;
+  const double baud_rate_;
+  int fd_ = -1;
+  rt::TimeNs t_next_try_ns_ = 0;
   ByteQueue queue_;
 };
 
@@ -94,6 +146,7 @@ struct Address {
   std::uint16_t local = 0;  ///< UDP: our own port, 0: any
   std::string device;       ///< serial
   speed_t baud_rate = B0;
+  double baud = 0;
 };
 
 rt::Error wrong(const std::string& address, const std::string& why) {
@@ -127,6 +180,7 @@ rt::Result<Address> parse(const std::string& address) {
     }
     out.device = parts[1];
     out.baud_rate = rate->second;
+    out.baud = baud;
     return out;
   }
   return wrong(address, "expected udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD");
@@ -149,18 +203,10 @@ rt::Result<std::unique_ptr<BytePort>> open_udp(const std::string& address, const
 }
 
 rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, const Address& a) {
-  const auto bad = [&](const std::string& why) { return wrong(address, why); };
-  const int fd = open(a.device.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
-  if (fd < 0) return bad(a.device + ": " + std::strerror(errno));
-  auto self = std::make_unique<SerialPort>(fd);
-  termios mode{};
-  if (tcgetattr(fd, &mode) != 0) return bad("no serial port: " + std::string(std::strerror(errno)));
-  cfmakeraw(&mode);
-  mode.c_cflag |= CLOCAL | CREAD;
-  mode.c_cflag &= ~static_cast<tcflag_t>(CRTSCTS | CSTOPB);
-  cfsetispeed(&mode, a.baud_rate);
-  cfsetospeed(&mode, a.baud_rate);
-  if (tcsetattr(fd, TCSANOW, &mode) != 0) return bad(std::strerror(errno));
+  auto self = std::make_unique<SerialPort>(a.device, a.baud_rate, a.baud);
+  if (const char* failed = self->reopen(); failed != nullptr) {
+    return wrong(address, a.device + failed + ": " + std::strerror(errno));
+  }
   return std::unique_ptr<BytePort>(std::move(self));
 }
 

@@ -9,6 +9,7 @@
 
 #include "firmware_app/link/tx_queue.h"
 #include "hal/rt/result.h"
+#include "hal/rt/time.h"
 
 namespace godwit::link {
 
@@ -22,7 +23,13 @@ class BytePort {
   virtual void flush() = 0;
   /// Bytes that came, at most into.size(); 0 where there are none.
   virtual std::size_t receive(std::span<std::uint8_t> into) = 0;
+  /// To wait on; -1 while the device is gone.
   virtual int descriptor() const = 0;
+  /// Once a step: tries to open a device again that went away, once a second. One open() and what sets it.
+  virtual void maintain(rt::TimeNs /*now_ns*/) {}
+  virtual bool gone() const { return false; }
+  /// Of a serial line; 0: it is none.
+  virtual double baud_rate() const { return 0; }
 };
 
 /// "udp:HOST:PORT" (HOST an IPv4 address; answers are taken from there alone; "udp:HOST:PORT:LOCALPORT" binds) or

@@ -10,6 +10,7 @@ namespace {
 constexpr int kExternalNav = 6;
 constexpr int kBarometer = 1;
 constexpr int kCompass = 1;
+constexpr double kMostPositionNoise = 1;  // [m]; ArduPilot's default is 0.2
 constexpr double kDelayToleranceMs = 5;
 constexpr rt::TimeNs kPatienceNs = 400 * rt::kNsPerMs;
 constexpr int kTries = 5;
@@ -59,9 +60,11 @@ void examine_can(Examination* e, const DoctorConfig& config) {
   e->must("CAN_D1_PROTOCOL", 1, "the first CAN driver does not speak DroneCAN (restart the autopilot afterwards)");
   e->must("CAN_D1_UC_SER_EN", 1,
           "serial ports over DroneCAN are off, so no MAVLink comes through the tunnel (restart afterwards)");
-  e->must("CAN_D1_UC_S1_NOD", config.node_id, "the tunnel listens to another node than ours");
-  e->must("CAN_D1_UC_S1_IDX", config.serial_index, "the tunnel listens to another serial index than VIO_SER_IDX");
-  e->must("CAN_D1_UC_S1_PRO", 2, "the tunnel does not speak MAVLink 2");
+  e->must("CAN_D1_UC_S1_NOD", config.node_id,
+          "the tunnel listens to another node than ours (restart once more afterwards)");
+  e->must("CAN_D1_UC_S1_IDX", config.serial_index,
+          "the tunnel listens to another serial index than VIO_SER_IDX (restart once more afterwards)");
+  e->must("CAN_D1_UC_S1_PRO", 2, "the tunnel does not speak MAVLink 2 (restart once more afterwards)");
   // The autopilot dates a message back by 10 bits a byte at this rate: 20 ms for a pose at 115200.
   if (const auto baud = e->value("CAN_D1_UC_S1_BD"); !baud) {
     e->unknown("CAN_D1_UC_S1_BD");
@@ -94,7 +97,12 @@ void examine_visual_odometry(Examination* e, const DoctorConfig& config) {
     e->unknown("VISO_DELAY_MS");
   } else if (config.viso_delay_ms && std::abs(*delay - *config.viso_delay_ms) > kDelayToleranceMs) {
     e->add(Severity::kError, "VISO_DELAY_MS", *config.viso_delay_ms,
-           "the smallest latency measured now is " + std::to_string(*config.viso_delay_ms) + " ms");
+           "the latency that you gave is " + std::to_string(*config.viso_delay_ms) + " ms");
+  }
+  e->must("VISO_SCALE", 1, "positions are multiplied by it, and ours are metres");
+  e->must("VISO_ORIENT", 0, "our poses are the body's already, and would be turned");
+  if (const auto noise = e->value("VISO_POS_M_NSE"); noise && *noise > kMostPositionNoise) {
+    e->add(Severity::kWarning, "VISO_POS_M_NSE", 0.2, "the least sigma of a position; a good pose is hardly believed");
   }
   // Our poses are those of the body's origin; with an offset set here the arm would be counted twice.
   if (config.t_body_cam.norm() > 1e-3) {
@@ -107,6 +115,8 @@ void examine_visual_odometry(Examination* e, const DoctorConfig& config) {
 void examine_sources(Examination* e) {
   e->must("AHRS_EKF_TYPE", 3, "EKF3, which alone takes external vision as a source, is not in use");
   e->must("EK3_ENABLE", 1, "EKF3 is off (restart the autopilot afterwards)");
+  // 1 up to ArduPilot 4.6: all velocities are fused whatever the source set.
+  e->must("EK3_SRC_OPTIONS", 0, "vision's velocity is fused while flying on GPS", Severity::kWarning);
   int sets = 0;
   bool told = false;
   for (const char set : {'1', '2', '3'}) {
@@ -172,7 +182,8 @@ const std::vector<std::string>& doctor_parameters() {
     std::vector<std::string> names{"CAN_P1_DRIVER",    "CAN_D1_PROTOCOL",  "CAN_D1_UC_SER_EN", "CAN_D1_UC_S1_NOD",
                                    "CAN_D1_UC_S1_IDX", "CAN_D1_UC_S1_PRO", "CAN_D1_UC_S1_BD",  "VISO_TYPE",
                                    "VISO_DELAY_MS",    "VISO_QUAL_MIN",    "VISO_POS_X",       "VISO_POS_Y",
-                                   "VISO_POS_Z",       "AHRS_EKF_TYPE",    "EK3_ENABLE"};
+                                   "VISO_POS_Z",       "VISO_SCALE",       "VISO_ORIENT",      "VISO_POS_M_NSE",
+                                   "AHRS_EKF_TYPE",    "EK3_ENABLE",       "EK3_SRC_OPTIONS"};
     for (const char* set : {"1", "2", "3"}) {
       for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) {
         names.push_back(std::string("EK3_SRC") + set + "_" + what);

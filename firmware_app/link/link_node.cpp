@@ -15,17 +15,19 @@ using dronecan::NodeMode;
 
 // ArduPilot drops samples that arrive within 20 ms of the one before.
 constexpr rt::TimeNs kMinOdometryGapNs = 21 * rt::kNsPerMs;
+constexpr rt::TimeNs kLatestPoseNs = 250 * rt::kNsPerMs;
 constexpr rt::TimeNs kMinTextGapNs = 500 * rt::kNsPerMs;
 constexpr rt::TimeNs kLatencyTextPeriodNs = 60 * rt::kNsPerSecond;
 constexpr std::uint8_t kResetReserve = 8;
 constexpr double kTimesyncBits = 4 * 135;  // a TIMESYNC of 28 bytes through the tunnel
+constexpr double kTimesyncBytes = 28;
 constexpr double kPoseBytes = 245;
 
 std::vector<dronecan::TypeInfo> accepted_types() {
   std::vector<dronecan::TypeInfo> types = dronecan::Node::accepted_types();
-  types.insert(types.end(),
-               {dronecan::TunnelTargetted::kType, dronecan::RangeMeasurement::kType, dronecan::StaticPressure::kType,
-                dronecan::RawImu::kType, dronecan::ArmingStatus::kType, dronecan::GlobalTimeSync::kType});
+  types.insert(types.end(), {dronecan::TunnelTargetted::kType, dronecan::RangeMeasurement::kType,
+                             dronecan::StaticPressure::kType, dronecan::RawImu::kType, dronecan::ArmingStatus::kType,
+                             dronecan::GlobalTimeSync::kType, dronecan::NodeStatus::kType});
   return types;
 }
 
@@ -77,7 +79,8 @@ LinkNode::LinkNode(const LinkConfig& config, const LinkPorts& ports, const Store
       parameters_(config.parameters, stored.has_parameters ? stored.parameters : config.parameters),
       queue_(config.fd_data_rate_factor),
       reassembler_(accepted_types()),
-      node_(config.identity, parameters_.get(Parameter::kCanFd) != 0, &parameters_, ports.storage, &queue_),
+      node_(config.identity, parameters_.get(Parameter::kCanFd) != 0, &parameters_, ports.storage, &queue_,
+            config.write_rules),
       carrier_(this),
       endpoint_(
           [&] {
@@ -107,10 +110,15 @@ bool LinkNode::pose_is_due(const PoseSample& sample) {
 
 void LinkNode::send_pose(const BodyPose& pose, rt::TimeNs t_capture_ns, rt::TimeNs t_published_ns, rt::TimeNs now_ns) {
   last_carried_ = 0;
+  if (t_capture_ns / 1000 <= t_last_stamp_ns_ / 1000) {
+    ++status_.poses_stale;
+    return;
+  }
   if (!endpoint_.send_odometry(odometry_message(pose, config_.odometry, t_capture_ns, reset_counter_), now_ns)) return;
   ++status_.odometry_sent;
   hold_.sent();
   t_last_odometry_ns_ = now_ns;
+  t_last_stamp_ns_ = t_capture_ns;
   sample_sent_ = {t_capture_ns, t_published_ns, pose.quality};
   pose_under_way_ = true;
   pose_number_ = last_carried_;
@@ -160,7 +168,9 @@ void LinkNode::take_pose(rt::TimeNs now_ns) {
   body_ = hold_.pose();
   status_.quality = -1;
   const rt::TimeNs period = rt::kNsPerSecond / parameters_.get(Parameter::kRate);
-  if (now_ns - t_last_odometry_ns_ >= period) send_pose(body_, now_ns, 0, now_ns);
+  if (now_ns - t_last_odometry_ns_ < period) return;
+  // Stamped so that a pose which comes after all is later still: times only grow.
+  send_pose(body_, std::max(t_last_stamp_ns_ + rt::kNsPerMs, now_ns - kLatestPoseNs), 0, now_ns);
 }
 
 void LinkNode::send_telemetry(rt::TimeNs now_ns) {
@@ -235,9 +245,10 @@ NodeCondition LinkNode::condition(rt::TimeNs now_ns) const {
   set(kNoTimesync, !endpoint_.time_sync().synchronised(now_ns));
   set(kDetectorFailed, !health_.detector_ok);
   set(kBadPose, bad_pose_);
+  set(kSameNodeId, status_.own_id_heard);
   // Camera, inertial sensor and process make the health; whether there is a pose is told by state and quality, and
   // enters here only where the user wants arming to wait for one.
-  const bool failed = (c.reasons & (kCameraFailed | kProcessFailed | kPoseStalled | kBadPose)) != 0 ||
+  const bool failed = (c.reasons & (kCameraFailed | kProcessFailed | kPoseStalled | kBadPose | kSameNodeId)) != 0 ||
                       (config_.imu_required && !health_.imu_ok);
   const bool wants_pose = parameters_.get(Parameter::kRequirePose) != 0 && !armed(now_ns) && body_.quality < 0;
   const bool warned = wants_pose || (c.reasons & kTooHot) != 0;
@@ -260,6 +271,10 @@ void LinkNode::account_sent_pose(rt::TimeNs now_ns) {
   const TimeSync& sync = endpoint_.time_sync();
   if (sync.synchronised(now_ns)) path.one_way_ns = sync.round_trip_ns() / 2;
   const std::uint32_t bit_rate = ports_.bus != nullptr ? ports_.bus->bit_rate() : 0;
+  if (by_bytes && ports_.bytes->baud_rate() > 0) {
+    // Half a round trip holds a TIMESYNC's way along the line; a pose is longer.
+    path.wire_extra_ns = static_cast<rt::TimeNs>((kPoseBytes - kTimesyncBytes) * 10 / ports_.bytes->baud_rate() * 1e9);
+  }
   if (!by_bytes) {
     if (bit_rate > 0) {
       path.wire_extra_ns =
@@ -302,7 +317,9 @@ void LinkNode::each_second(rt::TimeNs now_ns) {
   bits_before_ = status_.tx.bits;
   const std::uint64_t drops = status_.tx.abandoned + status_.tx.refused + status_.tx.poses_replaced;
   const hal::CanState state = ports_.bus != nullptr ? ports_.bus->state() : hal::CanState::kActive;
-  bus_trouble_ = drops != drops_before_ || state == hal::CanState::kBusOff || state == hal::CanState::kGone;
+  const bool line_gone = ports_.bytes != nullptr && ports_.bytes->gone();
+  bus_trouble_ =
+      line_gone || drops != drops_before_ || state == hal::CanState::kBusOff || state == hal::CanState::kGone;
   drops_before_ = drops;
   tell_latency(now_ns);
 }

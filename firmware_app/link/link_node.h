@@ -1,6 +1,7 @@
 // The link as the link thread runs it: poses and health in; DroneCAN node, MAVLink and telemetry out; inputs back.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstdint>
@@ -41,7 +42,8 @@ enum Reason : std::uint16_t {
   kNoAutopilot = 1U << 10,  ///< no HEARTBEAT for 3 s
   kNoTimesync = 1U << 11,
   kDetectorFailed = 1U << 12,
-  kBadPose = 1U << 13  ///< not finite, huge, or from the future: a fault of ours
+  kSameNodeId = 1U << 14,  ///< another node speaks under our id
+  kBadPose = 1U << 13      ///< not finite, huge, or from the future: a fault of ours
 };
 
 struct LinkConfig {
@@ -49,10 +51,14 @@ struct LinkConfig {
   dronecan::NodeIdentity identity;
   mavlink::EndpointConfig mavlink;
   ParameterValues parameters = fallback_values();
+  dronecan::WriteRules write_rules;
   bool imu_required = false;
   /// Silence for longer is an error, told within 100 ms of the last pose: 80, and up to 15 for the way out behind an
   /// ODOMETRY at 1 Mbit/s. A single picture lost at 30 a second (a gap of 67 ms) is none.
   rt::TimeNs pose_timeout_ns = 80 * rt::kNsPerMs;
+  /// A pose whose picture is being worked on may take so long. With the two before it the autopilot hears something
+  /// every 300 ms, as ArduPilot wants.
+  rt::TimeNs late_pose_ns = 150 * rt::kNsPerMs;
   /// A camera that never gave a picture since the start is a failed one, too.
   rt::TimeNs first_pose_timeout_ns = 3 * rt::kNsPerSecond;
   rt::TimeNs max_pose_age_ns = 500 * rt::kNsPerMs;
@@ -76,6 +82,7 @@ struct LinkStatus {
   std::uint8_t reset_counter = 0;
   LatencySummary latency;
   double round_trip_ms = 0;
+  bool own_id_heard = false;  ///< another node speaks under our id
   bool synchronised = false;  ///< by TIMESYNC; without it the latency lacks the way to the autopilot
   /// Our own share: from a pose given to the link to its last frame handed to the bus.
   std::size_t own_samples = 0;
@@ -117,8 +124,12 @@ class LinkNode {
   void step(rt::TimeNs now_ns);
   /// When the poses that do not come become an error: step() then, so that it is told at once.
   rt::TimeNs t_silence_ns() const {
-    return t_last_pose_ns_ + (any_pose_ ? config_.pose_timeout_ns : config_.first_pose_timeout_ns);
+    const rt::TimeNs t = t_last_pose_ns_ + (any_pose_ ? config_.pose_timeout_ns : config_.first_pose_timeout_ns);
+    const rt::TimeNs begun = t_frame_begun_ns_.load(std::memory_order_relaxed);
+    return any_pose_ && begun > t_last_pose_ns_ && begun < t ? std::max(t, begun + config_.late_pose_ns) : t;
   }
+  /// Tracker thread: a picture is being worked on from now on. Its pose may be late, and that is no silence.
+  void frame_begun(rt::TimeNs now_ns) { t_frame_begun_ns_.store(now_ns, std::memory_order_relaxed); }
   /// Any thread: send SET_GPS_GLOBAL_ORIGIN at the next step.
   void request_origin() { origin_requested_.store(true, std::memory_order_relaxed); }
   /// RestartNode was asked for, granted and answered: end the process so that systemd starts it anew.
@@ -203,6 +214,8 @@ class LinkNode {
   double bits_before_ = 0;
   std::uint64_t drops_before_ = 0;
   bool bus_trouble_ = false;
+  std::atomic<rt::TimeNs> t_frame_begun_ns_{0};  // tracker -> step(); relaxed, a time alone
+  rt::TimeNs t_last_stamp_ns_ = 0;               // of the ODOMETRY sent last
   bool arming_status_armed_ = false;
   rt::TimeNs t_arming_status_ns_ = 0;
   PoseState told_state_ = PoseState::kInitialising;

@@ -24,6 +24,11 @@ void LinkNode::set_bus_filters() {
     filters[count++] = {static_cast<std::uint32_t>(type) << 8, 0x00FFFF80, true};
   }
   if (filters_for_node_ != 0) filters[count++] = {filters_for_node_ * 256U | 0x80U, 0x00007F80, true};
+  // Whoever speaks under our id.
+  if (filters_for_node_ != 0) {
+    filters[count++] = {static_cast<std::uint32_t>(dronecan::NodeStatus::kType.id) << 8 | filters_for_node_, 0x00FFFFFF,
+                        true};
+  }
   // Requests by other anonymous nodes: type 1 in the two lowest bits of the type field.
   filters[count++] = {1U << 8, 0x000003FF, true};
   // A refusal leaves the bus unfiltered, which costs time and nothing else.
@@ -77,12 +82,18 @@ void LinkNode::receive(rt::TimeNs now_ns) {
       if (size == 0) break;
       endpoint_.receive({bytes.data(), size}, now_ns);
     }
+    ports_.bytes->maintain(now_ns);
     ports_.bytes->flush();
   }
 }
 
 void LinkNode::take_transfer(const dronecan::Transfer& transfer, rt::TimeNs now_ns) {
   const bool message = transfer.kind == dronecan::TransferKind::kMessage;
+  if (message && transfer.type_id == dronecan::NodeStatus::kType.id) {
+    // A bus gives nobody his own frames back.
+    status_.own_id_heard = status_.own_id_heard || (transfer.source != 0 && transfer.source == node_.node_id());
+    return;
+  }
   if (message && transfer.source != 0) {
     if (transfer.type_id == dronecan::TunnelTargetted::kType.id) return take_tunnel(transfer, now_ns);
     if (transfer.type_id == dronecan::ArmingStatus::kType.id) {

@@ -8,6 +8,9 @@
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
+#include <utility>
+
+#include "firmware_app/link/saved_parameters.h"
 
 namespace godwit::link {
 
@@ -23,10 +26,20 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
     if (!port.ok()) return port.error();
     self->bytes_ = std::move(port).value();
   }
-  const auto stored = self->storage_.load(settings.link.parameters);
-  if (!stored.ok()) return stored.error();
+  auto loaded = self->storage_.load(settings.link.parameters);
+  if (!loaded.ok()) return loaded.error();
+  StoredState stored = std::move(loaded).value();
+  drop_what_does_not_fit(settings.link.parameters,
+                         {self->bus_ != nullptr, self->bytes_ != nullptr, !self->bus_ || self->bus_->supports_fd()},
+                         &stored);
+  self->advice_ = stored.warnings;
+  for (std::string& line : overrides(settings.link.parameters, stored)) self->advice_.push_back(std::move(line));
   LinkConfig config = settings.link;
   config.clock = &rt::monotonic_now_ns;
+  if (!settings.collect_inputs) {
+    config.mavlink.imu_hz = config.mavlink.range_hz = 0;
+    config.mavlink.local_position_hz = config.mavlink.global_position_hz = 0;
+  }
   if (config.identity.unique_id == dronecan::UniqueId{}) {
     std::ifstream file("/etc/machine-id");
     const std::string machine_id(std::istreambuf_iterator<char>(file), {});
@@ -39,10 +52,11 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
   }
   self->wake_fd_ = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
   if (self->wake_fd_ < 0) return rt::Error{"link: eventfd: " + std::string(std::strerror(errno))};
-  auto node = LinkNode::create(config,
-                               {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
-                                &self->inputs_, &self->status_, settings.departures},
-                               stored.value());
+  auto node =
+      LinkNode::create(config,
+                       {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
+                        settings.collect_inputs ? &self->inputs_ : nullptr, &self->status_, settings.departures},
+                       stored);
   if (!node.ok()) return node.error();
   self->node_ = std::move(node).value();
   return self;
@@ -53,7 +67,9 @@ LinkService::~LinkService() {
 }
 
 std::vector<std::string> LinkService::advice() const {
-  return bus_ ? bus_->advice() : std::vector<std::string>();
+  std::vector<std::string> out = bus_ ? bus_->advice() : std::vector<std::string>();
+  out.insert(out.end(), advice_.begin(), advice_.end());
+  return out;
 }
 
 void LinkService::publish(const PoseSample& sample) {

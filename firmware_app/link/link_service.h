@@ -14,7 +14,10 @@ struct LinkSettings {
   std::string can;           ///< "multicast:N" or "socketcan:IFACE"; empty: no bus
   std::string mavlink;       ///< "udp:HOST:PORT" or "serial:DEVICE:BAUD"; empty: through the tunnel on the bus
   std::string state_folder;  ///< where parameters and reset counter are kept; must exist; empty: nothing is kept
-  LinkConfig link;           ///< identity.unique_id all zeros: made from /etc/machine-id
+  /// Somebody calls take_input(); else nothing is collected, and of the autopilot's messages only its attitude is asked
+  /// for, which the link itself reads.
+  bool collect_inputs = false;
+  LinkConfig link;                      ///< identity.unique_id all zeros: made from /etc/machine-id
   DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
 
@@ -26,11 +29,14 @@ class LinkService {
   LinkService(const LinkService&) = delete;
   LinkService& operator=(const LinkService&) = delete;
 
-  /// What the user should change about the interface, found when it was opened; for the log.
+  /// For the log: what the user should change about the interface, found when it was opened; what was saved over the
+  /// bus and is not used; what of the configuration it overrides.
   std::vector<std::string> advice() const;
 
   /// Tracker thread: the newest pose, and a wake-up for the link thread. No allocation, no lock, no blocking call.
   void publish(const PoseSample& sample);
+  /// The same thread: it begins to work on a picture.
+  void frame_begun() { node_->frame_begun(rt::monotonic_now_ns()); }
   /// One other thread, whoever watches the machine.
   void publish(const SystemHealth& health) { health_.write(health); }
   /// The pipeline: what the autopilot told, oldest first; false where nothing waits.
@@ -53,6 +59,7 @@ class LinkService {
  private:
   explicit LinkService(const LinkSettings& settings) : storage_(settings.state_folder) {}
 
+  std::vector<std::string> advice_;  ///< all but the interface's
   Storage storage_;
   std::unique_ptr<hal::CanBus> bus_;
   std::unique_ptr<BytePort> bytes_;

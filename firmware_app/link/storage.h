@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "firmware_app/link/parameters.h"
 #include "hal/rt/result.h"
@@ -13,8 +14,10 @@
 namespace godwit::link {
 
 struct StoredState {
-  ParameterValues parameters{};
-  bool has_parameters = false;
+  ParameterValues parameters{};  ///< the defaults where nothing was saved
+  bool has_parameters = false;   ///< anything was saved
+  /// What was kept and is not used, in words; it grounds nobody.
+  std::vector<std::string> warnings;
   /// First reset counter this run may use: past all that were used before.
   std::uint8_t reset_counter = 0;
 };
@@ -24,6 +27,7 @@ struct StorageRequest {
   Kind kind = Kind::kSaveParameters;
   std::uint32_t ticket = 0;
   ParameterValues parameters{};
+  ParameterValues defaults{};      ///< what equals them is not written: it follows the configuration
   std::uint8_t reset_counter = 0;  ///< kReserveResets: counters up to this one may be used before the next request
 };
 
@@ -37,11 +41,16 @@ struct StorageReply {
 class Storage {
  public:
   explicit Storage(std::string folder) : folder_(std::move(folder)) {}
+  ~Storage();
   Storage(const Storage&) = delete;
   Storage& operator=(const Storage&) = delete;
 
-  /// Reads what was kept. A missing file is no error; a damaged one is, naming file and line. Blocks, allocates.
-  rt::Result<StoredState> load(const ParameterValues& defaults) const;
+  /// Reads what was kept. A missing file is no error, and a damaged one costs what is damaged in it, with a warning
+  /// that names file and line; without a readable counter it begins anywhere. Blocks, allocates. Error: the folder is
+  /// not there, cannot be written, or another process uses it (until the end of this one).
+  rt::Result<StoredState> load(const ParameterValues& defaults);
+  /// The same without the lock, to look at.
+  StoredState peek(const ParameterValues& defaults) const;
 
   /// Link thread. False: too many requests wait.
   bool request(const StorageRequest& request) { return requests_.try_push(request); }
@@ -56,6 +65,7 @@ class Storage {
   rt::Result<void> replace(const std::string& name, const std::string& text) const;
 
   std::string folder_;
+  int lock_fd_ = -1;  ///< holds the folder's lock
   std::string last_error_;
   rt::SpscRing<StorageRequest, 8> requests_;
   rt::SpscRing<StorageReply, 8> replies_;

@@ -2,6 +2,9 @@
 
 #include <cerrno>
 #include <cstring>
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 namespace godwit::app {
@@ -24,8 +27,23 @@ rt::Error AtomicFile::fail(const char* doing) {
 
 rt::Result<void> AtomicFile::open(const std::string& file) {
   file_ = file;
-  out_ = std::fopen(part().c_str(), "wb");
-  if (out_ == nullptr) return fail("cannot be created");
+  // What a killed run left is taken over, what another run writes is not; a link that somebody laid is not followed.
+  const int fd = ::open(part().c_str(), O_WRONLY | O_CREAT | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
+  if (fd < 0) return fail("cannot be created");
+  struct stat about {};
+  const char* why = nullptr;
+  if (fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "is no plain file";
+  if (why == nullptr && flock(fd, LOCK_EX | LOCK_NB) != 0) why = "another run writes it";
+  if (why == nullptr && ftruncate(fd, 0) != 0) why = "cannot be emptied";
+  if (why != nullptr) {
+    close(fd);
+    return rt::Error{part() + ": " + why};
+  }
+  out_ = fdopen(fd, "wb");
+  if (out_ == nullptr) {
+    close(fd);
+    return fail("cannot be created");
+  }
   return {};
 }
 

@@ -43,9 +43,10 @@ Feeder::Outcome Feeder::read(int slot, rt::TimeNs timeout_ns, rt::FrameHandle* h
   std::uint8_t* const bgr = slot >= 0 ? pool_->bgr(slot) : nullptr;
   const hal::CameraStatus status = camera_->next(grey, bgr, timeout_ns, &frame, &why_);
   ShortText clock;
+  const rt::TimeNs t_delivered_ns = rt::monotonic_now_ns();
   const bool wrong_time = status == hal::CameraStatus::kFrame && implausible(frame.t_capture_ns, &clock);
   if (status == hal::CameraStatus::kFrame && slot >= 0 && !wrong_time) {
-    pool_->meta(slot) = {frame.t_capture_ns, frame.t_source_ns, frame.sequence};
+    pool_->meta(slot) = {frame.t_capture_ns, frame.t_source_ns, frame.sequence, t_delivered_ns};
     pool_->hand_out(slot, pool_->layout().readers);
     *handle = {slot, pool_->meta(slot)};
     return Outcome::kFrame;

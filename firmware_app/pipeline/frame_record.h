@@ -78,10 +78,11 @@ struct FrameRecord {
   std::int32_t features = 0;  ///< image measurements behind the pose
   rt::TimeNs t_source_ns = 0;
   rt::TimeNs t_capture_ns = 0;
-  rt::TimeNs t_done_ns = 0;      ///< CLOCK_MONOTONIC when the pose stood
-  rt::TimeNs wall_ns = 0;        ///< the tracking call, pyramid included
-  rt::TimeNs thread_cpu_ns = 0;  ///< processor time of the tracking call
-  rt::TimeNs mapper_cpu_ns = 0;  ///< processor time of the mapping since the last frame
+  rt::TimeNs t_delivered_ns = 0;  ///< CLOCK_MONOTONIC when the camera handed the picture over
+  rt::TimeNs t_done_ns = 0;       ///< CLOCK_MONOTONIC when the pose stood
+  rt::TimeNs wall_ns = 0;         ///< the tracking call, pyramid included
+  rt::TimeNs thread_cpu_ns = 0;   ///< processor time of the tracking call
+  rt::TimeNs mapper_cpu_ns = 0;   ///< processor time of the mapping since the last frame
   std::array<rt::TimeNs, kStages> stage_ns{};
   const char* state = "";  ///< static text; set for processed frames
   std::array<double, 3> t_world_cam{};

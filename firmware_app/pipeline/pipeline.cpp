@@ -83,6 +83,7 @@ void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* 
   record->sequence = handle.meta.sequence;
   record->t_source_ns = handle.meta.t_source_ns;
   record->t_capture_ns = handle.meta.t_capture_ns;
+  record->t_delivered_ns = handle.meta.t_delivered_ns;
   const rt::TimeNs wall = rt::monotonic_now_ns();
   const rt::TimeNs cpu = rt::thread_cpu_now_ns();
   stage->track(handle, record);

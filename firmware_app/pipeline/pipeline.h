@@ -45,6 +45,8 @@ class FrameSink {
 class FrameTap {
  public:
   virtual ~FrameTap() = default;
+  /// A frame goes to the tracker now. The same thread and rules as frame_done().
+  virtual void frame_begun() {}
   /// A frame went through the tracker. Tracker thread, under its rules: no allocation, no lock, no wait.
   virtual void frame_done(const FrameRecord& record) = 0;
   /// Real pace, the same thread and rules: no picture has been flown since the one captured at t_last_capture_ns (0:

@@ -348,7 +348,7 @@ void ThreadedPipeline::schedule(const rt::FrameHandle& handle, const FrameRecord
   if (machine_.read(&machine)) scheduler_.machine(machine.temperature_c, machine.throttled);
   if (newest_frame_) {
     const auto change = scheduler_.frame_done(record.t_done_ns, record.tracked ? record.wall_ns : -1,
-                                              record.t_done_ns - record.t_capture_ns, dropped);
+                                              record.t_done_ns - record.t_delivered_ns, dropped);
     if (change) {
       stage_->limit_features(scheduler_.plan().feature_share);
       const bool down = change->to > change->from;
@@ -446,6 +446,7 @@ void ThreadedPipeline::track_one(rt::FrameHandle handle, rt::FrameReturn* tracke
   take_samples(handle.meta.t_capture_ns);
   look_for_imu_silence(handle.meta.t_capture_ns);
   FrameRecord record;
+  if (options_.tap != nullptr) options_.tap->frame_begun();
   track_frame(stage_, handle, &record);
   note_picture(record.t_done_ns, record.t_capture_ns);
   if (options_.tap != nullptr) options_.tap->frame_done(record);

@@ -34,15 +34,27 @@ RungChange Scheduler::change(rt::TimeNs now_ns, Rung to, RungReason reason, doub
 }
 
 std::optional<RungChange> Scheduler::down(rt::TimeNs now_ns, RungReason reason, double value, double limit) {
-  int to = static_cast<int>(rung_) + 1;
-  while (to < static_cast<int>(kRungs) && !useful(static_cast<Rung>(to))) ++to;
-  if (to >= static_cast<int>(kRungs)) return std::nullopt;  // there is nothing left to shed
+  const auto to = next_down();
+  if (!to) return std::nullopt;
   ++counters_.steps_down;
   // A rung that did not hold: the next try comes later, so that the ladder does not swing.
   const bool relapse = t_climbed_ns_ >= 0 && now_ns - t_climbed_ns_ < calm_needed_ns_;
   calm_needed_ns_ = relapse ? std::min(2 * calm_needed_ns_, kLongestCalm * options_.calm_ns) : options_.calm_ns;
   t_climbed_ns_ = -1;
-  return change(now_ns, static_cast<Rung>(to), reason, value, limit);
+  return change(now_ns, *to, reason, value, limit);
+}
+
+std::optional<Rung> Scheduler::next_down() const {
+  for (int to = static_cast<int>(rung_) + 1; to < static_cast<int>(kRungs); ++to) {
+    if (useful(static_cast<Rung>(to))) return static_cast<Rung>(to);
+  }
+  return std::nullopt;
+}
+
+bool Scheduler::slipped_often(rt::TimeNs now_ns, int count) const {
+  if (slip_count_ < count) return false;
+  const auto oldest = static_cast<std::size_t>((slip_count_ - count) % kSlipsToGoBlind);
+  return now_ns - slips_[oldest] < kSlipWindowNs;
 }
 
 std::optional<RungChange> Scheduler::up(rt::TimeNs now_ns) {
@@ -66,17 +78,16 @@ void Scheduler::measure(rt::TimeNs tracker_ns) {
   p95_ns_ = *place;
 }
 
-std::optional<RungChange> Scheduler::frame_done(rt::TimeNs now_ns, rt::TimeNs tracker_ns, rt::TimeNs age_ns,
+std::optional<RungChange> Scheduler::frame_done(rt::TimeNs now_ns, rt::TimeNs tracker_ns, rt::TimeNs late_ns,
                                                 int dropped) {
   ++counters_.frames;
   if (t_last_ns_ >= 0) counters_.time_on_rung_ns[static_cast<std::size_t>(rung_)] += now_ns - t_last_ns_;
   t_last_ns_ = now_ns;
   if (tracker_ns >= 0) measure(tracker_ns);
-  const bool late = age_ns > options_.deadline_ns;
+  const bool late = late_ns > options_.deadline_ns;
   counters_.slips += late ? 1 : 0;
   counters_.dropped += static_cast<std::uint64_t>(dropped);
-  const bool slipped = late || dropped > 0;
-  if (slipped) slips_[static_cast<std::size_t>(slip_count_++ % kSlipsToStep)] = now_ns;
+  if (late || dropped > 0) slips_[static_cast<std::size_t>(slip_count_++ % kSlipsToGoBlind)] = now_ns;
   if (ordered_ && !stuck_ && now_ns - t_ordered_ns_ > options_.detector_stuck_ns) {
     stuck_ = true;
     ++counters_.detector_stuck;
@@ -84,17 +95,22 @@ std::optional<RungChange> Scheduler::frame_done(rt::TimeNs now_ns, rt::TimeNs tr
 
   const bool settled = now_ns - t_changed_ns_ >= kSettleNs || (counters_.steps_down == 0 && counters_.steps_up == 0);
   const bool hot = temperature_c_ > options_.temperature_c;  // not-a-number is not hot
-  const bool slow = p95_ns_ > options_.tracker_p95_ns;
-  const bool slips =
-      slip_count_ >= kSlipsToStep && now_ns - *std::min_element(slips_.begin(), slips_.end()) < kSlipWindowNs;
+  // What is shed is weighed: without the detector the map goes among movers. A tracker that is slow and in time is no
+  // reason for that, poses that are late are.
+  const bool blind = next_down() == Rung::kDetectorOff;
+  const int slip_limit = blind ? kSlipsToGoBlind : kSlipsToStep;
   if (settled) {
-    if (slips) return down(now_ns, RungReason::kSlips, kSlipsToStep, kSlipsToStep);
-    if (slow) return down(now_ns, RungReason::kSlowTracker, rt::to_ms(p95_ns_), rt::to_ms(options_.tracker_p95_ns));
+    if (slipped_often(now_ns, slip_limit)) return down(now_ns, RungReason::kSlips, slip_limit, slip_limit);
+    if (!blind && p95_ns_ > options_.tracker_p95_ns) {
+      return down(now_ns, RungReason::kSlowTracker, rt::to_ms(p95_ns_), rt::to_ms(options_.tracker_p95_ns));
+    }
     if (hot) return down(now_ns, RungReason::kTemperature, temperature_c_, options_.temperature_c);
     if (throttled_) return down(now_ns, RungReason::kThrottled, 1, 0);
   }
-  const bool calm = !slipped && !throttled_ && !(temperature_c_ > options_.temperature_c - kCalmDegrees) &&
-                    cost_count_ >= kEnough &&
+  // Too few tracked frames to tell (p95 is 0) are no reason to wait: while nothing is tracked, masks are what helps.
+  // The window of costs holds four seconds; a single slip in the time until then is none either.
+  const bool restless = slipped_often(now_ns, 2);
+  const bool calm = !restless && !throttled_ && !(temperature_c_ > options_.temperature_c - kCalmDegrees) &&
                     static_cast<double>(p95_ns_) < kCalmShare * static_cast<double>(options_.tracker_p95_ns);
   if (!calm) {
     t_calm_since_ns_ = -1;

@@ -24,7 +24,7 @@ const char* rung_name(Rung rung);
 
 /// Why a rung was left.
 enum class RungReason : std::uint8_t {
-  kSlips,        ///< poses came too late, or frames were dropped because the tracker was busy
+  kSlips,        ///< too many poses came too late, or frames were dropped because the tracker was busy
   kSlowTracker,  ///< the tracker's p95 came above its share
   kTemperature,
   kThrottled,  ///< the machine slows its processors down
@@ -35,7 +35,7 @@ const char* rung_reason_name(RungReason reason);
 
 struct SchedulerOptions {
   bool detector = false;                ///< there is one; without it the rungs that are the detector's are passed over
-  rt::TimeNs deadline_ns = 33'300'000;  ///< a pose that stands later than this after its capture is a slip
+  rt::TimeNs deadline_ns = 33'300'000;  ///< a pose that stands later than this after its delivery is a slip
   rt::TimeNs tracker_p95_ns = 15'000'000;  ///< above: a rung down
   rt::TimeNs frame_ns = 33'333'333;        ///< interval of the camera
   double temperature_c = 85;               ///< above: a rung down; 8 degrees below it counts as calm
@@ -101,9 +101,10 @@ class Scheduler {
   explicit Scheduler(const SchedulerOptions& options) : options_(options), calm_needed_ns_(options.calm_ns) {}
 
   /// A frame went through the tracker: its processing took tracker_ns (negative: it was not tracked, and initialising
-  /// or searching costs what it costs), it was done age_ns after the capture; `dropped` older frames gave way to it.
+  /// or searching costs what it costs), it was done late_ns after its delivery (what the camera takes to deliver is
+  /// nothing that shedding would mend); `dropped` older frames gave way to it.
   /// Returns the change of rung that follows from it, if any.
-  std::optional<RungChange> frame_done(rt::TimeNs now_ns, rt::TimeNs tracker_ns, rt::TimeNs age_ns, int dropped);
+  std::optional<RungChange> frame_done(rt::TimeNs now_ns, rt::TimeNs tracker_ns, rt::TimeNs late_ns, int dropped);
 
   /// How the machine is, whenever it was looked at. temperature_c: hottest, not-a-number where unknown.
   void machine(double temperature_c, bool throttled);
@@ -133,7 +134,11 @@ class Scheduler {
  private:
   static constexpr std::size_t kWindow = 120;  ///< frames behind p95
   static constexpr std::size_t kEnough = 30;   ///< fewer say nothing
-  static constexpr int kSlipsToStep = 2;       ///< within kSlipWindowNs; one alone may be anything
+  /// Slips within kSlipWindowNs (60 frames of a camera of 30 a second) before a rung is left: a tenth of the poses,
+  /// and a third before the detector goes, because a flight among movers without masks loses its map, and a late pose
+  /// is only late.
+  static constexpr int kSlipsToStep = 6;
+  static constexpr int kSlipsToGoBlind = 20;
   static constexpr rt::TimeNs kSlipWindowNs = 2 * rt::kNsPerSecond;
   static constexpr rt::TimeNs kSettleNs = 2 * rt::kNsPerSecond;  ///< a step shows its effect before the next is taken
   static constexpr int kLongestCalm = 16;                        ///< times calm_ns, after relapses
@@ -141,6 +146,10 @@ class Scheduler {
   static constexpr double kCalmDegrees = 8;
 
   void measure(rt::TimeNs tracker_ns);
+  /// The next rung down that has an effect; none: there is nothing left to shed.
+  std::optional<Rung> next_down() const;
+  /// The newest `count` slips came within kSlipWindowNs.
+  bool slipped_often(rt::TimeNs now_ns, int count) const;
   std::optional<RungChange> down(rt::TimeNs now_ns, RungReason reason, double value, double limit);
   std::optional<RungChange> up(rt::TimeNs now_ns);
   RungChange change(rt::TimeNs now_ns, Rung to, RungReason reason, double value, double limit);
@@ -154,8 +163,8 @@ class Scheduler {
   std::array<rt::TimeNs, kWindow> costs_{};
   std::size_t cost_count_ = 0;
   rt::TimeNs p95_ns_ = 0;
-  std::array<rt::TimeNs, kSlipsToStep> slips_{};  ///< when the newest were
-  int slip_count_ = 0;                            ///< since the last change of rung
+  std::array<rt::TimeNs, kSlipsToGoBlind> slips_{};  ///< when the newest were
+  int slip_count_ = 0;                               ///< since the last change of rung
   rt::TimeNs t_last_ns_ = -1, t_changed_ns_ = 0, t_calm_since_ns_ = -1;
   rt::TimeNs t_climbed_ns_ = -1;
   rt::TimeNs calm_needed_ns_;

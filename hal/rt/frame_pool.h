@@ -22,6 +22,7 @@ struct FrameMeta {
   TimeNs t_capture_ns = 0;     ///< middle of exposure, CLOCK_MONOTONIC
   TimeNs t_source_ns = 0;      ///< the source's own timestamp
   std::uint32_t sequence = 0;  ///< counts every picture that was due
+  TimeNs t_delivered_ns = 0;   ///< when the camera handed it over, CLOCK_MONOTONIC
 };
 
 /// What goes through the rings from thread to thread: which slot, and whose picture it holds.

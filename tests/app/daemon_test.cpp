@@ -288,6 +288,17 @@ TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {
   }
 }
 
+TEST(GodwitCheck, ASimulatedCameraIsRefusedOnARealBus) {
+  const test::TempFolder folder;
+  const auto code = [&](const std::string& link) {
+    return run(GODWIT_TOOL " check --config " + write_config(folder, kSmallFlight + link)).second;
+  };
+  EXPECT_EQ(code("[can]\nbus = \"socketcan:can0\"\n"), 2);
+  EXPECT_EQ(code("[can]\nbus = \"socketcan:vcan0\"\n"), 0);
+  EXPECT_EQ(code("[link]\nmavlink = \"serial:/dev/ttyTHS0:921600\"\n"), 2);
+  EXPECT_EQ(code("[link]\nmavlink = \"udp:127.0.0.1:14550\"\n"), 0);
+}
+
 TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
   const test::TempFolder folder;
   const std::string config =

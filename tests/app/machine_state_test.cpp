@@ -32,6 +32,24 @@ TEST(MachineMonitor, AZoneWithoutASensorDoesNotCount) {
   EXPECT_DOUBLE_EQ(MachineMonitor(sys.path()).read().temperature_c, 45.5);
 }
 
+TEST(MachineMonitor, AJetsonsConstantZoneIsNoTemperature) {
+  const TempFolder sys;
+  const std::pair<const char*, const char*> zones[] = {{"AO-therm", "38000"},
+                                                       {"CPU-therm", "41500"},
+                                                       {"GPU-therm", "39000"},
+                                                       {"PMIC-Die", "100000"},
+                                                       {"thermal-fan-est", "99000"}};
+  int i = 0;
+  for (const auto& [type, temperature] : zones) {
+    const std::string zone = "class/thermal/thermal_zone" + std::to_string(i++);
+    write_file(sys / (zone + "/type"), std::string(type) + "\n");
+    write_file(sys / (zone + "/temp"), std::string(temperature) + "\n");
+  }
+  const MachineMonitor monitor(sys.path());
+  EXPECT_DOUBLE_EQ(monitor.read().temperature_c, 41.5);
+  EXPECT_EQ(monitor.zones(), "ao-therm, cpu-therm, gpu-therm");
+}
+
 TEST(MachineMonitor, ProcessorsSlowedDownAreThrottlingAFanIsNot) {
   const TempFolder sys;
   write_file(sys / "class/thermal/cooling_device0/type", "pwm-fan\n");

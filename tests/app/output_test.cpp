@@ -94,6 +94,36 @@ TEST(AtomicFile, AppearsOnlyWhenWhole) {
   EXPECT_FALSE(fs::exists(folder / "a.txt.part"));
 }
 
+TEST(RunWriter, NamesThatAreNoTextGiveValidJson) {
+  const test::TempFolder folder;
+  RunWriter writer;
+  ASSERT_TRUE(writer.open(folder.path(), false).ok());
+  RunDescription description;
+  description.sequence = "caf\xC3\xA9 \xFF\xC0\xAF \xE2\x82";
+  ASSERT_TRUE(writer.finish(description).ok());
+  EXPECT_THAT(read_file(folder / "summary.json"), HasSubstr("\"caf\xC3\xA9 \\ufffd\\ufffd\\ufffd \\ufffd\\ufffd\""));
+}
+
+TEST(AtomicFile, TwoRunsDoNotMixAndALinkIsNotFollowed) {
+  const test::TempFolder folder;
+  AtomicFile first, second, third;
+  ASSERT_TRUE(first.open(folder / "a").ok());
+  const auto refused = second.open(folder / "a");
+  ASSERT_FALSE(refused.ok());
+  EXPECT_THAT(refused.error().message, HasSubstr("another run writes it"));
+  ASSERT_TRUE(first.write("whole").ok());
+  ASSERT_TRUE(first.commit().ok());
+  EXPECT_EQ(read_file(folder / "a"), "whole");
+  test::write_file(folder / "b.part", "left by a run that was killed");
+  ASSERT_TRUE(second.open(folder / "b").ok());
+  ASSERT_TRUE(second.commit().ok());
+  EXPECT_EQ(read_file(folder / "b"), "");
+  test::write_file(folder / "victim", "precious");
+  std::filesystem::create_symlink(folder / "victim", folder / "c.part");
+  EXPECT_FALSE(third.open(folder / "c").ok());
+  EXPECT_EQ(read_file(folder / "victim"), "precious");
+}
+
 TEST(AtomicFile, LeavesNothingWhenAbandoned) {
   const TempFolder folder;
   {

@@ -176,13 +176,16 @@ TEST(Scheduler, GoesDownOneRungAtATimeAndClimbsBack) {
   Flown f(with_detector());
   f.tracker = [](const SchedulePlan&) { return 20 * kMs; };
   f.fly(kMinute);
+  ASSERT_EQ(f.changes.size(), 3u) << "slow, and in time: the detector stays";
+  f.tracker = [](const SchedulePlan&) { return 40 * kMs; };
+  f.fly(kMinute);
   ASSERT_EQ(f.changes.size(), 4u) << "to the last rung, and then there is nothing left to shed";
   for (std::size_t i = 0; i < 4; ++i) {
     EXPECT_EQ(static_cast<std::size_t>(f.changes[i].from), i);
     EXPECT_EQ(static_cast<std::size_t>(f.changes[i].to), i + 1);
-    EXPECT_EQ(f.changes[i].reason, RungReason::kSlowTracker);
+    EXPECT_EQ(f.changes[i].reason, i < 3 ? RungReason::kSlowTracker : RungReason::kSlips);
     EXPECT_NEAR(f.changes[i].value, 20, 0.1);
-    EXPECT_EQ(f.changes[i].limit, 15);
+    EXPECT_EQ(f.changes[i].limit, i < 3 ? 15 : 20);
     if (i > 0) {
       EXPECT_GE(f.changes[i].t_ns - f.changes[i - 1].t_ns, 2 * rt::kNsPerSecond) << "a step shows its effect";
     }
@@ -233,17 +236,44 @@ TEST(Scheduler, WithoutDetectorOnlyTheTrackersRungIsTaken) {
   EXPECT_FALSE(f.scheduler.plan().detector_on);
 }
 
-TEST(Scheduler, OneSlipIsAnAccidentTwoAreAReason) {
+TEST(Scheduler, LatePosesNowAndThenAreHarmless) {
   Flown f(with_detector());
   f.tracker = [&](const SchedulePlan&) { return f.frames % 300 == 0 ? 40 * kMs : 4 * kMs; };
   f.fly(10 * kMinute);
   EXPECT_GT(f.scheduler.counters().slips, 50u);
   EXPECT_TRUE(f.changes.empty()) << "one in ten seconds";
-  f.tracker = [&](const SchedulePlan&) { return f.frames % 300 < 2 ? 40 * kMs : 4 * kMs; };
-  f.fly(11 * rt::kNsPerSecond);
-  ASSERT_FALSE(f.changes.empty());
-  EXPECT_EQ(f.changes[0].reason, RungReason::kSlips);
+  f.tracker = [&](const SchedulePlan&) { return f.frames % 60 < 2 ? 40 * kMs : 4 * kMs; };
+  f.fly(10 * kMinute);
+  EXPECT_TRUE(f.changes.empty()) << "two in two seconds";
   EXPECT_GT(f.scheduler.counters().dropped, 0u);
+  Flown late(with_detector());
+  late.tracker = [&](const SchedulePlan&) { return late.frames >= 300 && late.frames < 306 ? 40 * kMs : 4 * kMs; };
+  late.fly(11 * rt::kNsPerSecond);
+  ASSERT_EQ(late.changes.size(), 1u) << "six";
+  EXPECT_EQ(late.changes[0].reason, RungReason::kSlips);
+}
+
+// A machine that is busy with something else: one pose in five comes late whatever is shed.
+TEST(Scheduler, MasksAreNotGivenUpForPosesThatAreALittleLate) {
+  Flown f(with_detector());
+  f.tracker = [&](const SchedulePlan&) { return f.frames % 5 == 0 ? 40 * kMs : 4 * kMs; };
+  f.fly(10 * kMinute);
+  EXPECT_EQ(f.rung(), Rung::kFewFeatures);
+  EXPECT_GT(f.scheduler.counters().detections, 1000u);
+  f.tracker = [&](const SchedulePlan&) { return f.frames % 2 == 0 ? 40 * kMs : 4 * kMs; };
+  f.fly(10 * rt::kNsPerSecond);
+  EXPECT_EQ(f.rung(), Rung::kDetectorOff) << "every second one is no flight";
+}
+
+TEST(Scheduler, TheLadderIsClimbedWhileThePoseIsLost) {
+  Flown f(with_detector());
+  f.tracker = [](const SchedulePlan&) { return 40 * kMs; };
+  f.fly(kMinute / 2);
+  ASSERT_EQ(f.rung(), Rung::kDetectorOff);
+  // Lost: nothing is tracked, and nothing is late any more.
+  Scheduler& s = f.scheduler;
+  for (int i = 0; i < 30 * 180; ++i, f.now += kFrame) s.frame_done(f.now, -1, 10 * kMs, 0);
+  EXPECT_EQ(f.rung(), Rung::kFull);
 }
 
 TEST(Scheduler, HeatAndThrottlingShedAndCoolingClimbs) {
@@ -273,7 +303,7 @@ TEST(Scheduler, HeatAndThrottlingShedAndCoolingClimbs) {
 TEST(Scheduler, FramesThatAreNotTrackedSayNothingOfTheTrackersCost) {
   Scheduler scheduler{SchedulerOptions{}};
   rt::TimeNs now = rt::kNsPerSecond;
-  for (int i = 0; i < 300; ++i, now += kFrame) EXPECT_FALSE(scheduler.frame_done(now, -1, 25 * kMs, 0));
+  for (int i = 0; i < 290; ++i, now += kFrame) EXPECT_FALSE(scheduler.frame_done(now, -1, 25 * kMs, 0));
   EXPECT_EQ(scheduler.tracker_p95_ns(), 0);
   for (int i = 0; i < 30; ++i, now += kFrame) EXPECT_FALSE(scheduler.frame_done(now, i * kMs / 10, 25 * kMs, 0));
   EXPECT_EQ(scheduler.tracker_p95_ns(), 28 * kMs / 10) << "of 0.0 to 2.9 ms";

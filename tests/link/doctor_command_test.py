@@ -17,7 +17,8 @@ from emulated_autopilot import EmulatedAutopilot, RawMulticast, dronecan, mavlin
 
 GOOD = {"CAN_P1_DRIVER": 1, "CAN_D1_PROTOCOL": 1, "CAN_D1_UC_SER_EN": 1, "CAN_D1_UC_S1_NOD": 42, "CAN_D1_UC_S1_IDX": 0,
         "CAN_D1_UC_S1_PRO": 2, "CAN_D1_UC_S1_BD": 921, "VISO_TYPE": 3, "VISO_DELAY_MS": 20, "VISO_QUAL_MIN": 10,
-        "VISO_POS_X": 0, "VISO_POS_Y": 0, "VISO_POS_Z": 0, "AHRS_EKF_TYPE": 3, "EK3_ENABLE": 1}
+        "VISO_POS_X": 0, "VISO_POS_Y": 0, "VISO_POS_Z": 0, "AHRS_EKF_TYPE": 3, "EK3_ENABLE": 1,
+        "VISO_SCALE": 1, "VISO_ORIENT": 0, "VISO_POS_M_NSE": 0.2, "EK3_SRC_OPTIONS": 0}
 for source, value in (("1", 3), ("2", 6), ("3", 0)):
     for what in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW"):
         GOOD["EK3_SRC%s_%s" % (source, what)] = value

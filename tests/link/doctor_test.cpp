@@ -8,11 +8,12 @@ namespace godwit::link {
 namespace {
 
 std::map<std::string, double> good() {
-  std::map<std::string, double> p{{"CAN_P1_DRIVER", 1},     {"CAN_D1_PROTOCOL", 1},  {"CAN_D1_UC_SER_EN", 1},
-                                  {"CAN_D1_UC_S1_NOD", 42}, {"CAN_D1_UC_S1_IDX", 0}, {"CAN_D1_UC_S1_PRO", 2},
-                                  {"CAN_D1_UC_S1_BD", 921}, {"VISO_TYPE", 3},        {"VISO_DELAY_MS", 20},
-                                  {"VISO_QUAL_MIN", 10},    {"VISO_POS_X", 0},       {"VISO_POS_Y", 0},
-                                  {"VISO_POS_Z", 0},        {"AHRS_EKF_TYPE", 3},    {"EK3_ENABLE", 1}};
+  std::map<std::string, double> p{
+      {"CAN_P1_DRIVER", 1},    {"CAN_D1_PROTOCOL", 1},  {"CAN_D1_UC_SER_EN", 1},  {"CAN_D1_UC_S1_NOD", 42},
+      {"CAN_D1_UC_S1_IDX", 0}, {"CAN_D1_UC_S1_PRO", 2}, {"CAN_D1_UC_S1_BD", 921}, {"VISO_TYPE", 3},
+      {"VISO_DELAY_MS", 20},   {"VISO_QUAL_MIN", 10},   {"VISO_POS_X", 0},        {"VISO_POS_Y", 0},
+      {"VISO_POS_Z", 0},       {"AHRS_EKF_TYPE", 3},    {"EK3_ENABLE", 1},        {"VISO_SCALE", 1},
+      {"VISO_ORIENT", 0},      {"VISO_POS_M_NSE", 0.2}, {"EK3_SRC_OPTIONS", 0}};
   for (const char* set : {"1", "2", "3"}) {
     for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) {
       p[std::string("EK3_SRC") + set + "_" + what] = std::string(set) == "2" ? 6 : std::string(set) == "1" ? 3 : 0;
@@ -68,6 +69,8 @@ TEST_P(DoctorFinds, TheOneThatDoesNotFitAndSaysWhatToSet) {
 INSTANTIATE_TEST_SUITE_P(
     Each, DoctorFinds,
     ::testing::Values(
+        Wrong{"VISO_SCALE", 2, 1, Severity::kError}, Wrong{"VISO_ORIENT", 4, 0, Severity::kError},
+        Wrong{"VISO_POS_M_NSE", 5, 0.2, Severity::kWarning}, Wrong{"EK3_SRC_OPTIONS", 1, 0, Severity::kWarning},
         Wrong{"CAN_P1_DRIVER", 0, 1, Severity::kError}, Wrong{"CAN_D1_PROTOCOL", 0, 1, Severity::kError},
         Wrong{"CAN_D1_UC_SER_EN", 0, 1, Severity::kError}, Wrong{"CAN_D1_UC_S1_NOD", 43, 42, Severity::kError},
         Wrong{"CAN_D1_UC_S1_IDX", 1, 0, Severity::kError}, Wrong{"CAN_D1_UC_S1_PRO", 1, 2, Severity::kError},

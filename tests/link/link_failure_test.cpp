@@ -129,6 +129,53 @@ TEST(LinkNode, LateAndSinglyLostPicturesAreNoFailure) {
   for (const auto& [t, m] : h.odometry) EXPECT_GT(m.quality, 0);
 }
 
+// A busy machine: the picture came, its pose takes its time.
+TEST(LinkNode, APoseThatIsALittleLateIsNoError) {
+  LinkHarness h;
+  h.run(1);
+  h.camera = false;
+  h.decode_sent();
+  const std::size_t before = h.odometry.size();
+  const rt::TimeNs last = h.t_last_pose;
+  h.run(0.03);
+  h.link->frame_begun(h.now);
+  const rt::TimeNs capture = h.now - 5 * kMs;
+  while (h.now < last + 160 * kMs) {
+    h.step();
+    EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk) << rt::to_ms(h.now - last);
+  }
+  h.poses.write(good_pose(capture));
+  h.step();
+  h.decode_sent();
+  ASSERT_GT(h.odometry.size(), before);
+  for (std::size_t i = before; i < h.odometry.size(); ++i) EXPECT_GT(h.odometry[i].second.quality, 0);
+  // One that hangs is one all the same.
+  h.link->frame_begun(h.now + 30 * kMs);
+  h.run(0.2);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kError);
+}
+
+TEST(LinkNode, TimesOnlyGrowWhateverComesLate) {
+  LinkHarness h;
+  h.run(1);
+  h.camera = false;
+  for (const int late_ms : {90, 130, 200, 400}) {
+    const rt::TimeNs capture = h.now;
+    h.run(late_ms * 1e-3);
+    h.poses.write(good_pose(capture));
+    h.run(0.05);
+  }
+  h.decode_sent();
+  std::uint64_t newest = 0;
+  int good = 0;
+  for (const auto& [t, m] : h.odometry) {
+    EXPECT_GT(m.time_usec, newest);
+    newest = m.time_usec;
+    good += m.quality > 0 ? 1 : 0;
+  }
+  EXPECT_GE(good, 32) << "those of 90, 130 and 200 ms were sent, too";
+}
+
 TEST(LinkNode, TellsWhenSilenceIsDue) {
   LinkHarness h;
   h.run(1);

@@ -160,6 +160,70 @@ TEST_P(Silenced, DropsWholeOldPosesAndRecoversAtOnce) {
 INSTANTIATE_TEST_SUITE_P(BusIs, Silenced, ::testing::Values(hal::CanState::kBusOff, hal::CanState::kGone),
                          [](const auto& one) { return one.param == hal::CanState::kGone ? "gone" : "off"; });
 
+TEST(LinkFaults, AnotherAutopilotsHeartbeatIsToldAndIgnored) {
+  LinkHarness h;
+  h.heartbeat(true);
+  h.run(0.1);
+  EXPECT_TRUE(h.link->status().armed);
+  // A vehicle next door on the same line, disarmed; then one of ours that is no autopilot's.
+  for (const auto& [system, component] : {std::pair<std::uint8_t, std::uint8_t>{9, 1}, {7, 25}}) {
+    h.sender = {system, component, 0};
+    h.heartbeat(false);
+    h.run(0.1);
+    EXPECT_TRUE(h.link->status().armed) << int(system);
+  }
+  EXPECT_EQ(h.link->status().mavlink.foreign_heartbeats, 2u);
+  dronecan::RestartNodeRequest restart;
+  restart.magic = dronecan::RestartNodeRequest::kMagic;
+  h.request(restart);
+  h.run(0.5);
+  h.decode_sent();
+  ASSERT_EQ(h.restarts.size(), 1u);
+  EXPECT_FALSE(h.restarts[0].second.ok) << "in flight";
+}
+
+TEST(LinkFaults, WhoMayNotWriteChangesNothing) {
+  for (const bool locked : {false, true}) {
+    LinkConfig config;
+    config.write_rules.locked = locked;
+    config.write_rules.only_nodes = {100};
+    LinkHarness h(config);
+    h.run(0.1);
+    dronecan::GetSetRequest set;
+    dronecan::assign(&set.name, "VIO_RATE");
+    set.value.tag = dronecan::Value::kInteger;
+    set.value.integer = 25;
+    h.request(set);  // by node 10
+    dronecan::RestartNodeRequest restart;
+    restart.magic = dronecan::RestartNodeRequest::kMagic;
+    h.request(restart);
+    dronecan::ExecuteOpcodeRequest save;
+    save.opcode = dronecan::ExecuteOpcodeRequest::kSave;
+    h.request(save);
+    h.run(0.5);
+    h.decode_sent();
+    EXPECT_EQ(h.link->parameters().get(Parameter::kRate), 30);
+    EXPECT_EQ(h.link->node().counters().refused_source, 3u);
+    ASSERT_EQ(h.restarts.size(), 1u);
+    EXPECT_FALSE(h.restarts[0].second.ok);
+    h.send(set, {.priority = 24, .source = 100, .destination = kTestNode, .transfer_id = 9, .payload = {}});
+    h.run(0.1);
+    EXPECT_EQ(h.link->parameters().get(Parameter::kRate), locked ? 30 : 25);
+  }
+}
+
+TEST(LinkFaults, AnotherNodeUnderOurIdIsAnError) {
+  LinkHarness h;
+  h.run(1);
+  h.send(dronecan::NodeStatus{}, {.source = 43, .payload = {}});
+  h.run(0.1);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk) << "any other";
+  h.send(dronecan::NodeStatus{}, {.source = kTestNode, .payload = {}});
+  h.run(0.1);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kError);
+  EXPECT_EQ(h.link->status().condition.reasons & kSameNodeId, kSameNodeId);
+}
+
 TEST(LinkFaults, AFullQueueDropsWholePosesNeverBytes) {
   LinkHarness h;
   h.run(1);

@@ -1,10 +1,8 @@
 // The link's small parts: storage, queues, ports, bits on the wire, MAVLink parsing.
-#include <cmath>
-#include <cstdlib>
-#include <fcntl.h>
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <pty.h>
 #include <sys/stat.h>
 #include <sys/types.h>
 #include <termios.h>
@@ -13,6 +11,7 @@
 #include "firmware_app/link/byte_port.h"
 #include "firmware_app/link/dronecan/types.h"
 #include "firmware_app/link/frame_bits.h"
+#include "firmware_app/link/saved_parameters.h"
 #include "firmware_app/link/storage.h"
 #include "tests/link/fake_bus.h"
 #include "tests/link/hex.h"
@@ -53,7 +52,7 @@ TEST_F(StorageTest, KeepsAndErases) {
   request.kind = StorageRequest::Kind::kReserveResets;
   request.reset_counter = 255;
   EXPECT_TRUE(save(storage, request));
-  auto kept = Storage(folder).load(fallback_values());
+  auto kept = storage.load(fallback_values());
   ASSERT_TRUE(kept.ok());
   EXPECT_TRUE(kept.value().has_parameters);
   EXPECT_EQ(kept.value().parameters[0], 33);
@@ -61,16 +60,19 @@ TEST_F(StorageTest, KeepsAndErases) {
   request.kind = StorageRequest::Kind::kEraseParameters;
   EXPECT_TRUE(save(storage, request));
   EXPECT_TRUE(save(storage, request)) << "nothing left to erase is no failure";
-  EXPECT_FALSE(Storage(folder).load(fallback_values()).value().has_parameters);
-  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder), {}), 1) << "no half-written files stay";
+  EXPECT_FALSE(storage.load(fallback_values()).value().has_parameters);
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder), {}), 2) << "no half-written files stay";
 }
 
-TEST_F(StorageTest, DamagedFilesNameThemselves) {
+TEST_F(StorageTest, DamagedFilesNameThemselvesAndGroundNobody) {
   const auto message = [&](const char* file, const char* text) {
     std::ofstream(folder + "/" + file) << text;
     const auto loaded = Storage(folder).load(fallback_values());
     std::filesystem::remove(folder + "/" + file);
-    return loaded.ok() ? std::string() : loaded.error().message;
+    EXPECT_TRUE(loaded.ok()) << text;
+    if (!loaded.ok() || loaded.value().warnings.empty()) return std::string();
+    EXPECT_EQ(loaded.value().parameters[0], fallback_values()[0]) << "the configuration's";
+    return loaded.value().warnings[0];
   };
   EXPECT_NE(message("link_parameters.txt", "# x\nVIO_RATE abc\n").find("link_parameters.txt:2:"), std::string::npos);
   EXPECT_NE(message("link_parameters.txt", "VIO_RATE 999\n").find("20 to 40"), std::string::npos);
@@ -79,6 +81,123 @@ TEST_F(StorageTest, DamagedFilesNameThemselves) {
   EXPECT_EQ(message("link_parameters.txt", "VIO_FROM_THE_FUTURE 7\n"), "");
   EXPECT_NE(message("link_reset_counter.txt", "300\n").find("link_reset_counter.txt"), std::string::npos);
   EXPECT_NE(message("link_reset_counter.txt", "").find("link_reset_counter.txt"), std::string::npos);
+}
+
+TEST_F(StorageTest, OnlyWhatWasChangedIsSavedAndTheRestFollowsTheFile) {
+  Storage storage(folder);
+  ASSERT_TRUE(storage.load(fallback_values()).ok());
+  StorageRequest request;
+  request.parameters = request.defaults = fallback_values();
+  request.parameters[0] = 33;
+  EXPECT_TRUE(save(storage, request));
+  ParameterValues other = fallback_values();
+  const auto require_pose = static_cast<std::size_t>(Parameter::kRequirePose);
+  other[require_pose] = 1;  // the file asks for a pose from now on
+  const StoredState state = storage.load(other).value();
+  EXPECT_EQ(state.parameters[require_pose], 1);
+  EXPECT_EQ(state.parameters[0], 33);
+  const auto told = overrides(other, state);
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_EQ(told[0], "VIO_RATE 33, saved over the bus, overrides 30 of the configuration");
+}
+
+TEST_F(StorageTest, WhatWasSavedAndDoesNotFitIsDroppedAndTheFileFlies) {
+  Storage storage(folder);
+  ASSERT_TRUE(storage.load(fallback_values()).ok());
+  const auto fits = [&](Parameter p, std::int64_t value, const LinkMeans& means) {
+    StoredState state;
+    state.parameters = fallback_values();
+    state.has_parameters = true;
+    state.parameters[static_cast<std::size_t>(p)] = value;
+    drop_what_does_not_fit(fallback_values(), means, &state);
+    EXPECT_NE(state.parameters == fallback_values(), state.warnings.empty());
+    return state.warnings.empty();
+  };
+  EXPECT_FALSE(fits(Parameter::kProfile, 1, {true, false, true})) << "PX4 through the tunnel";
+  EXPECT_TRUE(fits(Parameter::kProfile, 1, {true, true, true}));
+  EXPECT_FALSE(fits(Parameter::kCanFd, 1, {true, false, false}));
+  EXPECT_FALSE(fits(Parameter::kTelemetryFd, 1, {true, false, false}));
+  EXPECT_TRUE(fits(Parameter::kCanFd, 1, {true, false, true}));
+  EXPECT_FALSE(fits(Parameter::kNodeId, 10, {true, false, true})) << "the autopilot's";
+  EXPECT_FALSE(fits(Parameter::kAutopilotNode, 42, {true, false, true})) << "ours";
+}
+
+TEST_F(StorageTest, TwoInOneFolderAreOneTooMany) {
+  {
+    Storage first(folder), second(folder);
+    ASSERT_TRUE(first.load(fallback_values()).ok());
+    const auto refused = second.load(fallback_values());
+    ASSERT_FALSE(refused.ok());
+    EXPECT_NE(refused.error().message.find("another godwit"), std::string::npos);
+    EXPECT_TRUE(first.load(fallback_values()).ok()) << "it holds it already";
+  }
+  EXPECT_TRUE(Storage(folder).load(fallback_values()).ok()) << "free again";
+}
+
+TEST_F(StorageTest, PipesAndPlantedLinksNeitherHoldNorLead) {
+  ASSERT_EQ(mkfifo((folder + "/link_parameters.txt").c_str(), 0600), 0);
+  Storage storage(folder);
+  const auto state = storage.load(fallback_values());  // would wait here for a writer
+  ASSERT_TRUE(state.ok());
+  EXPECT_EQ(state.value().warnings.size(), 1u);
+  const std::string victim = folder + "/victim";
+  std::ofstream(victim) << "precious";
+  std::filesystem::create_symlink(victim, folder + "/link_reset_counter.txt.new");
+  StorageRequest request;
+  request.kind = StorageRequest::Kind::kReserveResets;
+  EXPECT_TRUE(save(storage, request));
+  std::string kept;
+  std::ifstream(victim) >> kept;
+  EXPECT_EQ(kept, "precious");
+}
+
+/// A serial device that comes and goes, under one name.
+class SerialLine {
+ public:
+  explicit SerialLine(const std::string& folder) : name(folder + "/tty") { plug(); }
+  ~SerialLine() { unplug(); }
+  void plug() {
+    EXPECT_EQ(openpty(&ours_, &theirs_, nullptr, nullptr, nullptr), 0);
+    std::filesystem::create_symlink(ttyname(theirs_), name);
+  }
+  void unplug() {
+    std::filesystem::remove(name);
+    for (int* fd : {&ours_, &theirs_}) {
+      if (*fd >= 0) close(*fd);
+      *fd = -1;
+    }
+  }
+  const std::string name;
+
+ private:
+  int ours_ = -1, theirs_ = -1;
+};
+
+TEST_F(StorageTest, ASerialLineThatGoesIsLeftAloneAndOpenedAgain) {
+  SerialLine line(folder);
+  auto opened = open_byte_port("serial:" + line.name + ":115200");
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  BytePort& port = *opened.value();
+  EXPECT_EQ(port.baud_rate(), 115200);
+  const std::array<std::uint8_t, 20> message{};
+  std::array<std::uint8_t, 100> into{};
+  EXPECT_TRUE(port.send(message, TxClass::kFlight));
+  line.unplug();
+  EXPECT_EQ(port.receive(into), 0u);
+  EXPECT_TRUE(port.gone());
+  EXPECT_EQ(port.descriptor(), -1) << "poll would return at once for ever";
+  EXPECT_FALSE(port.send(message, TxClass::kPose));
+  rt::TimeNs now = 100 * rt::kNsPerSecond;
+  port.maintain(now);
+  EXPECT_TRUE(port.gone());
+  line.plug();
+  port.maintain(now + rt::kNsPerMs);
+  EXPECT_TRUE(port.gone()) << "tried once a second";
+  port.maintain(now + rt::kNsPerSecond);
+  EXPECT_FALSE(port.gone());
+  EXPECT_TRUE(port.send(message, TxClass::kFlight));
+  EXPECT_EQ(port.receive(into), 0u);
+  EXPECT_FALSE(port.gone());
 }
 
 TEST_F(StorageTest, WhatCannotBeSavedSaysSo) {

@@ -48,12 +48,13 @@ UniqueId unique_id_from(std::string_view machine_id) {
   return id;
 }
 
-Node::Node(NodeIdentity identity, bool fd, ParameterSet* parameters, Storage* storage, TxQueue* queue)
+Node::Node(NodeIdentity identity, bool fd, ParameterSet* parameters, Storage* storage, TxQueue* queue, WriteRules rules)
     : identity_(std::move(identity)),
       fd_(fd),
       parameters_(parameters),
       storage_(storage),
       queue_(queue),
+      rules_(std::move(rules)),
       allocation_(identity_.unique_id, 0),
       node_id_(static_cast<std::uint8_t>(parameters->get(Parameter::kNodeId))) {}
 
@@ -115,13 +116,14 @@ void Node::handle(const Transfer& transfer, rt::TimeNs now_ns, bool armed) {
       serve<GetTransportStatsRequest>(transfer, now_ns, [&](const auto&) { return transport_stats(); });
       break;
     case GetSetRequest::kType.id:
-      serve<GetSetRequest>(transfer, now_ns, [&](const GetSetRequest& r) { return get_set(r, armed); });
+      serve<GetSetRequest>(transfer, now_ns, [&](const GetSetRequest& r) {
+        return get_set(r, r.value.tag == Value::kEmpty || may_write(transfer.source, armed));
+      });
       break;
     case RestartNodeRequest::kType.id:
       serve<RestartNodeRequest>(transfer, now_ns, [&](const RestartNodeRequest& r) {
         RestartNodeResponse response;
-        response.ok = r.magic == RestartNodeRequest::kMagic && !armed;
-        if (r.magic == RestartNodeRequest::kMagic && armed) ++counters_.refused_armed;
+        response.ok = r.magic == RestartNodeRequest::kMagic && may_write(transfer.source, armed);
         if (response.ok) restart_at_ns_ = now_ns + kRestartDelayNs;
         return response;
       });
@@ -137,7 +139,7 @@ void Node::handle(const Transfer& transfer, rt::TimeNs now_ns, bool armed) {
     case ExecuteOpcodeRequest::kType.id: {
       ExecuteOpcodeRequest request;
       if (decode(transfer.payload, transfer.fd, &request)) {
-        execute_opcode(request, transfer, now_ns, armed);
+        execute_opcode(request, transfer, now_ns, may_write(transfer.source, armed));
       } else {
         ++counters_.malformed;
       }
@@ -193,18 +195,22 @@ bool Node::take_value(Parameter p, const Value& value) {
   }
 }
 
-GetSetResponse Node::get_set(const GetSetRequest& request, bool armed) {
+bool Node::may_write(std::uint8_t node, bool armed) {
+  const bool allowed = rules_.allow(node);
+  if (!allowed) {
+    ++counters_.refused_source;
+  } else if (armed) {
+    ++counters_.refused_armed;
+  }
+  return allowed && !armed;
+}
+
+GetSetResponse Node::get_set(const GetSetRequest& request, bool may_write) {
   GetSetResponse r;
   const Parameter p = request.name.size > 0 ? ParameterSet::find(text_of(request.name))
                                             : static_cast<Parameter>(std::min<std::size_t>(request.index, kParameters));
   if (p == Parameter::kCount) return r;  // an unknown one: everything empty
-  if (request.value.tag != Value::kEmpty) {
-    if (armed) {
-      ++counters_.refused_armed;
-    } else if (!take_value(p, request.value)) {
-      ++counters_.refused_value;
-    }
-  }
+  if (request.value.tag != Value::kEmpty && may_write && !take_value(p, request.value)) ++counters_.refused_value;
   // The value in force tells the asker whether it was taken.
   r.value = to_value(p, parameters_->get(p));
   r.default_value = to_value(p, parameters_->default_of(p));
@@ -215,16 +221,18 @@ GetSetResponse Node::get_set(const GetSetRequest& request, bool armed) {
 }
 
 void Node::execute_opcode(const ExecuteOpcodeRequest& request, const Transfer& transfer, rt::TimeNs now_ns,
-                          bool armed) {
+                          bool may_write) {
   StorageRequest storage;
   storage.kind = request.opcode == ExecuteOpcodeRequest::kErase ? StorageRequest::Kind::kEraseParameters
                                                                 : StorageRequest::Kind::kSaveParameters;
   storage.ticket = opcode_ticket_ + 1;
   storage.parameters = parameters_->values();
   storage.parameters[static_cast<std::size_t>(Parameter::kSendOrigin)] = 0;
+  for (std::size_t i = 0; i < kParameters; ++i) {
+    storage.defaults[i] = parameters_->default_of(static_cast<Parameter>(i));
+  }
   const bool known = request.opcode == ExecuteOpcodeRequest::kSave || request.opcode == ExecuteOpcodeRequest::kErase;
-  if (armed) ++counters_.refused_armed;
-  if (!known || armed || opcode_waits_ || !storage_->request(storage)) {
+  if (!known || !may_write || opcode_waits_ || !storage_->request(storage)) {
     respond(ExecuteOpcodeResponse{}, transfer, now_ns);
     return;
   }

@@ -1,9 +1,11 @@
 // A well-behaved DroneCAN node: says how it is, who it is, what can be set; refuses what must not happen in flight.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "firmware_app/link/dronecan/allocation_client.h"
 #include "firmware_app/link/dronecan/transfer.h"
@@ -34,18 +36,29 @@ struct NodeCondition {
   bool operator==(const NodeCondition&) const = default;
 };
 
+/// Who may change us over the bus: set, save, erase, restart.
+struct WriteRules {
+  bool locked = false;                     ///< nobody
+  std::vector<std::uint8_t> only_nodes{};  ///< empty: any node
+  bool allow(std::uint8_t node) const {
+    return !locked && (only_nodes.empty() || std::find(only_nodes.begin(), only_nodes.end(), node) != only_nodes.end());
+  }
+};
+
 /// Counts that GetTransportStats tells, besides those of the queue and of reception.
 struct NodeCounters {
   std::uint64_t requests = 0;
-  std::uint64_t refused_armed = 0;  ///< restart, erase, save or set while the vehicle was armed
-  std::uint64_t refused_value = 0;  ///< parameter values outside their limits or of a wrong type
-  std::uint64_t malformed = 0;      ///< transfers whose payload was too short or too long for the type
+  std::uint64_t refused_armed = 0;   ///< restart, erase, save or set while the vehicle was armed
+  std::uint64_t refused_source = 0;  ///< the same by a node that may not, or locked by the configuration
+  std::uint64_t refused_value = 0;   ///< parameter values outside their limits or of a wrong type
+  std::uint64_t malformed = 0;       ///< transfers whose payload was too short or too long for the type
 };
 
 /// One thread; time is an argument; no allocation after construction.
 class Node {
  public:
-  Node(NodeIdentity identity, bool fd, ParameterSet* parameters, Storage* storage, TxQueue* queue);
+  Node(NodeIdentity identity, bool fd, ParameterSet* parameters, Storage* storage, TxQueue* queue,
+       WriteRules rules = {});
 
   /// Types to be given to handle().
   static std::vector<TypeInfo> accepted_types();
@@ -74,8 +87,10 @@ class Node {
 
   GetNodeInfoResponse node_info() const;
   GetTransportStatsResponse transport_stats() const;
-  GetSetResponse get_set(const GetSetRequest& request, bool armed);
-  void execute_opcode(const ExecuteOpcodeRequest& request, const Transfer& transfer, rt::TimeNs now_ns, bool armed);
+  GetSetResponse get_set(const GetSetRequest& request, bool may_write);
+  /// Counts the refusal.
+  bool may_write(std::uint8_t node, bool armed);
+  void execute_opcode(const ExecuteOpcodeRequest& request, const Transfer& transfer, rt::TimeNs now_ns, bool may_write);
   void finish_opcode(bool ok, rt::TimeNs now_ns);
   bool take_value(Parameter p, const Value& value);
   void allocate(rt::TimeNs now_ns);
@@ -85,6 +100,7 @@ class Node {
   ParameterSet* parameters_;
   Storage* storage_;
   TxQueue* queue_;
+  WriteRules rules_;
   AllocationClient allocation_;
   std::uint8_t node_id_;
   NodeStatus status_;

@@ -9,6 +9,7 @@ namespace {
 constexpr std::uint8_t kTypeOnboardController = 18;
 constexpr std::uint8_t kAutopilotInvalid = 8;
 constexpr std::uint8_t kStateActive = 4;
+constexpr std::uint8_t kComponentAutopilot = 1;
 constexpr rt::TimeNs kHeartbeatPeriodNs = rt::kNsPerSecond;
 constexpr rt::TimeNs kAliveNs = 3 * rt::kNsPerSecond;
 constexpr rt::TimeNs kRequestGapNs = 200 * rt::kNsPerMs;
@@ -61,6 +62,13 @@ void Endpoint::take(const RawMessage& raw, rt::TimeNs now_ns) {
       Heartbeat m;
       decode(raw, &m);
       if (m.autopilot == kAutopilotInvalid || m.type == kTypeOnboardController) return;  // a camera, a ground station
+      const bool first = autopilot_system_ == 0 && raw.component == kComponentAutopilot;
+      if (!first && (raw.system != autopilot_system_ || raw.component != autopilot_component_)) {
+        ++counters_.foreign_heartbeats;
+        counters_.foreign_system = raw.system;
+        counters_.foreign_component = raw.component;
+        return;
+      }
       autopilot_system_ = raw.system;
       autopilot_component_ = raw.component;
       if (config_.system == 0) sender_.system = raw.system;

@@ -44,8 +44,11 @@ struct EndpointCounters {
   std::uint64_t sent = 0;
   std::uint64_t not_sent = 0;  ///< the carrier had no room
   std::uint64_t inputs = 0;
-  std::uint64_t inputs_dropped = 0;  ///< the pipeline did not keep up
-  std::uint64_t bad_answers = 0;     ///< TIMESYNC answers to questions we never asked
+  std::uint64_t inputs_dropped = 0;      ///< the pipeline did not keep up
+  std::uint64_t foreign_heartbeats = 0;  ///< of another autopilot than the one this is locked on to; ignored
+  std::uint8_t foreign_system = 0;       ///< the last of them
+  std::uint8_t foreign_component = 0;
+  std::uint64_t bad_answers = 0;  ///< TIMESYNC answers to questions we never asked
 };
 
 /// One thread; time is an argument; no allocation after construction.
@@ -72,6 +75,7 @@ class Endpoint {
   rt::TimeNs t_attitude_ns() const { return t_attitude_ns_; }
 
   bool autopilot_alive(rt::TimeNs now_ns) const;
+  /// The autopilot is the first system whose component 1 sent a HEARTBEAT as one, for as long as this lives.
   /// The last HEARTBEAT of the autopilot said armed; t_heartbeat_ns: when that was, 0 never.
   bool armed() const { return armed_; }
   rt::TimeNs t_heartbeat_ns() const { return t_heartbeat_ns_; }
