@@ -83,7 +83,14 @@ std::optional<RungChange> Scheduler::frame_done(rt::TimeNs now_ns, rt::TimeNs tr
   ++counters_.frames;
   if (t_last_ns_ >= 0) counters_.time_on_rung_ns[static_cast<std::size_t>(rung_)] += now_ns - t_last_ns_;
   t_last_ns_ = now_ns;
-  if (tracker_ns >= 0) measure(tracker_ns);
+  if (tracker_ns >= 0) {
+    measure(tracker_ns);
+    t_tracked_ns_ = now_ns;
+  } else if (now_ns - t_tracked_ns_ > kSlipWindowNs) {
+    // What tracking cost before the pose was lost says nothing of now.
+    cost_count_ = 0;
+    p95_ns_ = 0;
+  }
   const bool late = late_ns > options_.deadline_ns;
   counters_.slips += late ? 1 : 0;
   counters_.dropped += static_cast<std::uint64_t>(dropped);

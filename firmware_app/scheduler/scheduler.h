@@ -167,6 +167,7 @@ class Scheduler {
   int slip_count_ = 0;                               ///< since the last change of rung
   rt::TimeNs t_last_ns_ = -1, t_changed_ns_ = 0, t_calm_since_ns_ = -1;
   rt::TimeNs t_climbed_ns_ = -1;
+  rt::TimeNs t_tracked_ns_ = 0;  ///< when a frame was tracked last
   rt::TimeNs calm_needed_ns_;
   double temperature_c_ = 0;
   bool throttled_ = false;

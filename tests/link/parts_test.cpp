@@ -1,4 +1,7 @@
 // The link's small parts: storage, queues, ports, bits on the wire, MAVLink parsing.
+#include <cmath>
+#include <cstdlib>
+#include <fcntl.h>
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
