@@ -3,6 +3,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <atomic>
+#include <cstdlib>
 
 #include "firmware_app/daemon/daemon.h"
 #include "firmware_app/flight/config_check.h"
@@ -27,6 +28,9 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
     return app.exit(e) == 0 ? kExitDone : kExitRefused;
   }
   ConfigReport report = load_config(file);
+  // Under systemd (StateDirectory=) what is to be kept has a folder, unless the configuration names another.
+  const char* const state = std::getenv("STATE_DIRECTORY");
+  if (state != nullptr && report.config.link.state_folder.empty()) report.config.link.state_folder = state;
   if (report.ok()) check_for_daemon(&report);
   for (const std::string& mistake : report.mistakes) error_log().put("godwitd: " + mistake);
   return report.ok() ? run_daemon(report.config, stop) : static_cast<int>(kExitRefused);

@@ -43,3 +43,10 @@ install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc DESTINATION ${GODWIT_DATA_
 # An administrator's file: the defaults, every key explained.
 install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.toml DESTINATION ${CMAKE_INSTALL_SYSCONFDIR}/godwit
         COMPONENT programs)
+
+# The service. Paths in the unit are those of the prefix and the configuration folder that this build was configured with.
+configure_file(${PROJECT_SOURCE_DIR}/systemd/godwitd.service.in ${PROJECT_BINARY_DIR}/systemd/godwitd.service @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/systemd/godwitd.service DESTINATION lib/systemd/system COMPONENT programs)
+install(FILES ${PROJECT_SOURCE_DIR}/systemd/80-godwit-can0.network DESTINATION lib/systemd/network COMPONENT programs)
+install(FILES ${PROJECT_SOURCE_DIR}/systemd/80-godwit.rules DESTINATION lib/udev/rules.d COMPONENT programs)
+install(FILES ${PROJECT_SOURCE_DIR}/systemd/godwit.sysusers DESTINATION lib/sysusers.d RENAME godwit.conf COMPONENT programs)

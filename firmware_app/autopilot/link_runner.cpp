@@ -185,7 +185,7 @@ rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
                                                    const std::optional<std::array<double, 16>>& T_body_cam,
                                                    const LinkLog& log, const std::atomic<bool>& user_stop,
                                                    link::DepartureRing* departures, rt::Heartbeats* heartbeats,
-                                                   std::function<void(const char*)> abandon) {
+                                                   std::function<void(const char*)> abandon, bool wait_for_bus) {
   if (!wants_link(config)) return std::unique_ptr<LinkRunner>();
   LinkRunnerOptions options;
   options.settings = link_settings(config, T_body_cam);
@@ -194,6 +194,7 @@ rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
   options.log = log;
   options.heartbeats = heartbeats;
   options.settings.link.heartbeats = heartbeats;
+  options.settings.wait_for_bus = wait_for_bus;
   options.abandon = std::move(abandon);
   auto link = LinkRunner::start(options, user_stop);
   if (link.ok()) log(LinkLogLevel::kInfo, "link: " + mounting_words(options.settings.link.odometry.R_body_cam));

@@ -115,12 +115,10 @@ class LinkRunner final : public FrameTap {
 
 /// The link that the configuration asks for, already sending; null where it asks for none. T_body_cam: of the camera's
 /// calibration. Tells the log how the camera is mounted. departures: told of each pose that left, for whoever measures.
-rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
-                                                   const std::optional<std::array<double, 16>>& T_body_cam,
-                                                   const LinkLog& log, const std::atomic<bool>& user_stop,
-                                                   link::DepartureRing* departures = nullptr,
-                                                   rt::Heartbeats* heartbeats = nullptr,
-                                                   std::function<void(const char*)> abandon = {});
+rt::Result<std::unique_ptr<LinkRunner>> start_link(
+    const Config& config, const std::optional<std::array<double, 16>>& T_body_cam, const LinkLog& log,
+    const std::atomic<bool>& user_stop, link::DepartureRing* departures = nullptr, rt::Heartbeats* heartbeats = nullptr,
+    std::function<void(const char*)> abandon = {}, bool wait_for_bus = false);
 
 /// Lines for people: latency with the VISO_DELAY_MS to set, our own share of it, messages, bus load, what was lost.
 std::vector<std::string> link_report(const link::LinkStatus& status);

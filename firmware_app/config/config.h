@@ -33,7 +33,7 @@ struct Config {
 
   /// Where godwitd's pictures come from; the tool's commands bring their own.
   struct Camera {
-    enum class Source { kNone, kSim, kV4l2 };
+    enum class Source { kNone, kSim, kReplay, kV4l2 };
     enum class Stamp { kFlags, kStart, kEnd };
     Source source = Source::kNone;
     std::string calibration;             ///< devices: camera.yaml, sensor.yaml, ..
@@ -44,6 +44,8 @@ struct Config {
     std::string controls;                ///< v4l2: "name=value, .."
     Stamp stamp = Stamp::kFlags;         ///< v4l2: what the device's stamps mark
     double exposure_ms = 0;              ///< v4l2: where the device does not say
+    std::string sequence;                ///< replay: the folder
+    bool allow_simulated = false;        ///< what did not happen now may go out on a real bus
     std::string scenario = "street";     ///< sim: name or file
     std::string scenarios;               ///< sim: where names are looked up; empty: those that come with godwit
     std::uint64_t seed = 1;

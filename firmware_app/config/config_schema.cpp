@@ -114,9 +114,12 @@ std::vector<Key> config_keys(Config* c) {
            keys::number("scheduler.temperature_c", 30, 120, "degrees C", &c->scheduler.temperature_c),
            keys::number("scheduler.calm_s", 1, 600, "s", &c->scheduler.calm_s),
 
-           keys::choice<Source>("camera.source",
-                                {{"none", Source::kNone}, {"sim", Source::kSim}, {"v4l2", Source::kV4l2}},
-                                &c->camera.source),
+           keys::choice<Source>(
+               "camera.source",
+               {{"none", Source::kNone}, {"sim", Source::kSim}, {"replay", Source::kReplay}, {"v4l2", Source::kV4l2}},
+               &c->camera.source),
+           keys::text("camera.sequence", kLongestPath, "a folder", &c->camera.sequence),
+           keys::flag("camera.allow_simulated", &c->camera.allow_simulated),
            keys::text("camera.scenario", kLongestPath, "a scenario's name or file", &c->camera.scenario),
            keys::text("camera.scenarios", kLongestPath, "a folder", &c->camera.scenarios),
            keys::whole<std::uint64_t>("camera.seed", 0, 1'000'000'000, &c->camera.seed),

@@ -1,21 +1,24 @@
 #include "firmware_app/daemon/daemon.h"
 
+#include <array>
 #include <fmt/format.h>
+#include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/daemon/daemon_camera.h"
+#include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/pipeline_plan.h"
-#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
-#include "firmware_app/sim/flight_calibration.h"
-#include "firmware_app/sim/looped_pictures.h"
 #include "hal/machine/machine_state.h"
+#include "hal/machine/service_manager.h"
 
 namespace godwit::app {
 namespace {
@@ -32,8 +35,8 @@ int give_up(const std::string& line) {
 /// Tells what changes; frame after frame is for the flight log.
 class Journal final : public FrameSink {
  public:
-  Journal(bool locks_memory, std::string memory_refused)
-      : locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)) {}
+  Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused)
+      : manager_(manager), locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
@@ -41,6 +44,7 @@ class Journal final : public FrameSink {
     say(!warning.empty() ? "flying, not armed"
         : locks_memory_  ? "armed: memory is locked, all threads run as planned"
                          : "flying, not armed: threads.lock_memory is off");
+    manager_.ready();
   }
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
@@ -54,43 +58,12 @@ class Journal final : public FrameSink {
   std::uint64_t tracked() const { return tracked_; }
 
  private:
+  const hal::ServiceManager& manager_;
   const bool locks_memory_;
   const std::string memory_refused_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
-
-/// The camera of the configuration, with its calibration.
-struct Source {
-  std::unique_ptr<sim::Flight> flight;
-  std::unique_ptr<hal::Camera> camera;
-  hal::CameraCalibration calibration;
-};
-
-rt::Result<Source> open_device(const Config::Camera& config) {
-  auto opened = open_camera(config, say);
-  if (!opened) return opened.error();
-  Source out;
-  out.camera = std::move(opened.value().camera);
-  out.calibration = opened.value().calibration;
-  return out;
-}
-
-rt::Result<Source> open_sim(const Config::Camera& config, const std::atomic<bool>& stop) {
-  const auto scenario = sim::find_scenario(config.scenario, scenario_folder(config.scenarios));
-  if (!scenario) return scenario.error();
-  Source out;
-  out.flight = std::make_unique<sim::Flight>(scenario.value(), config.seed);
-  out.calibration = calibration_of(*out.flight);
-  const auto rendered = out.flight->camera(0);
-  LoopedPictures::Options options;
-  options.interval_ns = static_cast<rt::TimeNs>(1e9 / out.calibration.fps);
-  say(fmt::format("rendering {} pictures of {}, seed {}", config.pictures, config.scenario, config.seed));
-  auto camera = LoopedPictures::record(rendered.get(), config.pictures, options, stop);
-  if (!camera) return camera.error();
-  out.camera = std::move(camera).value();
-  return out;
-}
 
 void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
   say(fmt::format("{} frames, {} tracked, {} bad, {} dropped, {} late; {} rungs down, {} up, now {}", c.due, tracked,
@@ -111,14 +84,44 @@ void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
   }
 }
 
-}  // namespace
+using Mounting = std::optional<std::array<double, 16>>;
 
-int run_daemon(const Config& config, const std::atomic<bool>& stop) {
-  const bool simulated = config.camera.source == Config::Camera::Source::kSim;
-  auto source = simulated ? open_sim(config.camera, stop) : open_device(config.camera);
-  if (stop.load(std::memory_order_relaxed)) return kExitDone;
-  if (!source) return give_up(source.error().message);
-  const hal::CameraCalibration& calibration = source.value().calibration;
+Mounting mounting_of(const DaemonCamera& camera) {
+  return camera.calibration() ? camera.calibration()->T_body_cam : std::nullopt;
+}
+
+/// While there is no camera: ready all the same, and the node says that it has failed once it should have been there.
+class WithoutCamera {
+ public:
+  WithoutCamera(const hal::ServiceManager& manager, LinkRunner* autopilot) : manager_(manager), autopilot_(autopilot) {}
+  void operator()() {
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    if (t_begin_ns_ == 0) {
+      t_begin_ns_ = now_ns;
+      manager_.ready();
+    }
+    if (autopilot_ != nullptr && now_ns - t_begin_ns_ > kCameraDueNs) autopilot_->no_picture(now_ns, 0);
+  }
+
+ private:
+  static constexpr rt::TimeNs kCameraDueNs = 3 * rt::kNsPerSecond;
+  const hal::ServiceManager& manager_;
+  LinkRunner* const autopilot_;
+  rt::TimeNs t_begin_ns_ = 0;
+};
+
+/// Camera, networks and threads, until the end. Returns an ExitCode.
+int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, LinkRunner* autopilot,
+        rt::Heartbeats* heartbeats, const hal::ServiceManager& manager, const std::function<void(const char*)>& abandon,
+        const std::atomic<bool>& stop, const std::atomic<bool>& ending) {
+  const auto opened = camera->open(config.camera, say, WithoutCamera(manager, autopilot), ending);
+  if (ending.load(std::memory_order_relaxed)) return kExitDone;
+  if (!opened) return give_up(opened.error().message);
+  if (autopilot != nullptr && config.link.T_body_cam.empty() && mounting_of(*camera) != mounting) {
+    say("the camera's calibration says how it is mounted: starting anew with that");
+    return kExitRestart;
+  }
+  const hal::CameraCalibration& calibration = *camera->calibration();
   // The networks run once here, so that the first picture in flight is not the slow one.
   auto assembled = assemble(config, calibration, {});
   if (!assembled) {
@@ -139,30 +142,13 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   auto imu = open_imu(config.imu, say);
   if (!imu) return give_up(imu.error().message);
   options.imu = imu.value().get();
-  const auto log = [](LinkLogLevel level, const std::string& text) {
-    say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
-  };
-  // Both outlive link and pipeline.
-  rt::Heartbeats heartbeats;
-  const LinkRunner* restarts = nullptr;
-  const auto abandon = [&restarts](const char* thread) {
-    end_without("godwitd", thread, restarts != nullptr && restarts->restart_due() ? kExitRestart : kExitFailed);
-  };
-  options.heartbeats = &heartbeats;
+  options.heartbeats = heartbeats;
   options.abandon = abandon;
-  auto link = start_link(config, calibration.T_body_cam, log, stop, nullptr, &heartbeats, abandon);
-  if (!link) {
-    say(link.error().message);
-    return kExitRefused;
-  }
-  LinkRunner* const autopilot = link.value().get();
-  restarts = autopilot;
   options.tap = autopilot;
   // The link's own flag is raised by its thread, which may hang.
   options.also_stop = &stop;
-  Journal journal(config.threads.lock_memory, arm_memory(config));
-  const auto run = run_pipeline(source.value().camera.get(), parts.stage.get(), parts.pool.get(), options, &journal,
-                                autopilot != nullptr ? autopilot->stop() : stop);
+  Journal journal(manager, config.threads.lock_memory, arm_memory(config));
+  const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();
   if (autopilot != nullptr) {
@@ -170,13 +156,46 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
     counters.threads.push_back(autopilot->thread_report());
   }
   tell(counters, journal.tracked(), parts.dynamic != nullptr);
-  if (autopilot == nullptr) return kExitDone;
-  for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
-  if (autopilot->restart_due()) {
-    say("restart asked for over the bus");
-    return kExitRestart;
-  }
   return kExitDone;
+}
+
+}  // namespace
+
+int run_daemon(const Config& config, const std::atomic<bool>& stop) {
+  const hal::ServiceManager manager;
+  // Outlives link and pipeline.
+  rt::Heartbeats heartbeats;
+  const Watchdog watchdog(manager, heartbeats, config.threads.link);
+  if (!watchdog.trouble().empty()) say("warning: watchdog: " + watchdog.trouble());
+
+  auto found = DaemonCamera::find(config.camera);
+  if (!found) return give_up(found.error().message);
+  DaemonCamera& camera = found.value();
+  const auto mounting = mounting_of(camera);
+
+  const LinkRunner* restarts = nullptr;
+  const auto abandon = [&restarts](const char* thread) {
+    end_without("godwitd", thread, restarts != nullptr && restarts->restart_due() ? kExitRestart : kExitFailed);
+  };
+  const auto log = [](LinkLogLevel level, const std::string& text) {
+    say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
+  };
+  // The node is on the bus before camera and networks are there.
+  auto link = start_link(config, mounting, log, stop, nullptr, &heartbeats, abandon, true);
+  if (!link) {
+    say(link.error().message);
+    return kExitRefused;
+  }
+  LinkRunner* const autopilot = link.value().get();
+  restarts = autopilot;
+  const std::atomic<bool>& ending = autopilot != nullptr ? autopilot->stop() : stop;
+  const int code = fly(config, &camera, mounting, autopilot, &heartbeats, manager, abandon, stop, ending);
+  manager.stopping();
+  if (autopilot == nullptr) return code;
+  for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
+  if (code != kExitDone || !autopilot->restart_due()) return code;
+  say("restart asked for over the bus");
+  return kExitRestart;
 }
 
 }  // namespace godwit::app

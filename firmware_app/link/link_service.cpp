@@ -17,7 +17,7 @@ namespace godwit::link {
 rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& settings) {
   std::unique_ptr<LinkService> self(new LinkService(settings));
   if (!settings.can.empty()) {
-    auto bus = hal::open_can(settings.can);
+    auto bus = hal::open_can(settings.can, settings.wait_for_bus);
     if (!bus.ok()) return bus.error();
     self->bus_ = std::move(bus).value();
   }

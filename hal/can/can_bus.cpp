@@ -37,11 +37,11 @@ rt::Result<std::unique_ptr<CanBus>> upcast(rt::Result<std::unique_ptr<Bus>> bus)
 
 }  // namespace
 
-rt::Result<std::unique_ptr<CanBus>> open_can(const std::string& address) {
+rt::Result<std::unique_ptr<CanBus>> open_can(const std::string& address, bool wait_for_it) {
   const auto parsed = parse(address);
   if (!parsed.ok()) return parsed.error();
   const Address& a = parsed.value();
-  if (a.multicast_bus < 0) return upcast(SocketCanBus::open(a.interface));
+  if (a.multicast_bus < 0) return upcast(SocketCanBus::open(a.interface, wait_for_it));
   return upcast(MulticastBus::open(a.multicast_bus, a.interface));
 }
 

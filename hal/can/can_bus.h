@@ -73,7 +73,9 @@ class CanBus {
 
 /// Opens "multicast:N" (N 0..9, section 3 of the interface notes; "multicast:N:ADDRESS" picks the network interface
 /// with this IPv4 address) or "socketcan:IFACE". The error names what was wrong and, where there is one, the remedy.
-rt::Result<std::unique_ptr<CanBus>> open_can(const std::string& address);
+/// wait_for_it: an interface of the kernel that is not there yet is no error but a bus that is gone, and is looked for
+/// as one that vanished.
+rt::Result<std::unique_ptr<CanBus>> open_can(const std::string& address, bool wait_for_it = false);
 
 /// Whether open_can would understand this address; opens nothing.
 rt::Result<void> check_can_address(const std::string& address);

@@ -25,13 +25,21 @@ CanState state_after_error_frame(CanState before, const canfd_frame& raw) {
   return before;
 }
 
-rt::Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& interface) {
+rt::Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& interface, bool wait_for_it) {
   const std::string name = "CAN bus socketcan:" + interface + ": ";
   if (interface.size() >= IFNAMSIZ) return rt::Error{name + "the interface name is too long"};
   std::unique_ptr<SocketCanBus> self(new SocketCanBus(interface));
   const char* failed = self->connect();
-  if (failed != nullptr && errno != ENETDOWN) {  // an interface that is down is told in words and waited for
-    const int reason = errno;
+  const int reason = failed != nullptr ? errno : 0;
+  const bool absent = reason == ENODEV || reason == EAFNOSUPPORT;
+  if (absent && wait_for_it) {
+    self->disconnect();
+    self->netlink_fd_ = open_netlink();
+    self->fd_frames_ = true;  // what it will be like is not known: the kernel refuses what it cannot carry
+    self->advice_ = {name + "the interface is not there (yet); it is looked for"};
+    return self;
+  }
+  if (failed != nullptr && reason != ENETDOWN) {  // an interface that is down is told in words and waited for
     std::string message = name + failed + ": " + std::strerror(reason);
     if (reason == EAFNOSUPPORT) message += "; this kernel has no CAN: modprobe can_raw, or use multicast:0";
     if (reason == ENODEV) message += "; ip link shows the interfaces there are";
@@ -159,7 +167,8 @@ bool SocketCanBus::receive(CanFrame* frame) {
 
 rt::Result<void> SocketCanBus::set_filters(std::span<const CanFilter> filters) {
   if (auto kept = filters_.set(filters); !kept.ok()) return kept;
-  if (reopen_ && !apply_filters()) return rt::Error{"CAN filters: " + std::string(std::strerror(errno))};
+  // Without a socket they are set when there is one.
+  if (reopen_ && fd_ >= 0 && !apply_filters()) return rt::Error{"CAN filters: " + std::string(std::strerror(errno))};
   return {};
 }
 

@@ -14,7 +14,7 @@ namespace godwit::hal {
 class SocketCanBus final : public CanBus {
  public:
   /// Opens a CAN network interface; it must exist. Whether it is up is told by state() and advice().
-  static rt::Result<std::unique_ptr<SocketCanBus>> open(const std::string& interface);
+  static rt::Result<std::unique_ptr<SocketCanBus>> open(const std::string& interface, bool wait_for_it = false);
   /// Speaks the kernel's frame format over a given datagram socket, which it then owns: for a bus that another process
   /// or a test plays. Such a bus is not opened again once it is gone.
   static std::unique_ptr<SocketCanBus> adopt(int descriptor);

@@ -1,9 +1,12 @@
 // Signs of life: each thread of a flight beats, and whoever may look finds the one that fell silent.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstddef>
+#include <initializer_list>
+#include <string_view>
 
 #include "hal/rt/time.h"
 
@@ -51,8 +54,9 @@ class Heartbeats {
     return {this, index};
   }
 
-  /// Any thread; no allocation, no lock, bounded. The one longest over its patience.
-  Silent silent(TimeNs now_ns) const {
+  /// Any thread; no allocation, no lock, bounded. The one longest over its patience; of these threads only, where any
+  /// are named.
+  Silent silent(TimeNs now_ns, std::initializer_list<std::string_view> only = {}) const {
     Silent out;
     TimeNs worst = 0;
     const std::size_t count = count_.load(std::memory_order_acquire);
@@ -61,6 +65,7 @@ class Heartbeats {
       const TimeNs t = beats_[i].t_ns.load(std::memory_order_relaxed);
       const TimeNs over = now_ns - t - beats_[i].patience_ns;
       if (t == kEnded || over <= worst) continue;
+      if (only.size() > 0 && std::find(only.begin(), only.end(), beats_[i].name) == only.end()) continue;
       worst = over;
       out = {beats_[i].name, now_ns - t};
     }

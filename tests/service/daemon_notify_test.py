@@ -1,0 +1,101 @@
+"""godwitd as systemd sees it: ready without its recording, alive while its threads live, flying when the recording comes.
+
+  daemon_notify_test.py GODWIT GODWITD SCENARIO
+"""
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+
+GODWIT, GODWITD, SCENARIO = sys.argv[1:4]
+
+
+def fail(reason):
+    sys.exit('FAILED: ' + reason)
+
+
+class Manager:
+    """Takes what a service tells systemd."""
+
+    def __init__(self, path):
+        self.path = path
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(path)
+
+    def hear(self, message, seconds):
+        """Waits for this message; the seconds it took, or None."""
+        begin = time.monotonic()
+        while (left := begin + seconds - time.monotonic()) > 0:
+            self.socket.settimeout(left)
+            try:
+                if self.socket.recv(4096).decode() == message:
+                    return time.monotonic() - begin
+            except TimeoutError:
+                pass
+        return None
+
+    def forget(self):
+        self.socket.settimeout(0)
+        try:
+            while True:
+                self.socket.recv(4096)
+        except BlockingIOError:
+            pass
+
+
+def main():
+    with tempfile.TemporaryDirectory(prefix='godwit_service.') as folder_name:
+        folder = pathlib.Path(folder_name)
+        recording, elsewhere = folder / 'recording', folder / 'elsewhere'
+        subprocess.run([GODWIT, 'sim', SCENARIO, '--frames', '30', '--out', elsewhere], check=True,
+                       stdout=subprocess.DEVNULL)
+        config = folder / 'godwit.toml'
+        text = f'[camera]\nsource = "replay"\nsequence = "{recording}"\n[detector]\nenabled = false\n'
+        config.write_text(text)
+
+        config.write_text(text + '[can]\nbus = "socketcan:can0"\n')
+        refused = subprocess.run([GODWITD, '--config', config], capture_output=True, text=True, check=False, timeout=20)
+        if refused.returncode != 2 or 'camera.allow_simulated' not in refused.stderr:
+            fail(f'a replay on a real bus: {refused.returncode} {refused.stderr}')
+        config.write_text(text)
+
+        manager = Manager(str(folder / 'notify'))
+        environment = {**os.environ, 'NOTIFY_SOCKET': manager.path, 'WATCHDOG_USEC': '2000000'}
+        with (folder / 'log').open('w+') as log:
+            daemon = subprocess.Popen([GODWITD, '--config', config], env=environment, stderr=log)
+            try:
+                if manager.hear('READY=1', 20) is None:
+                    fail('not ready without its recording')
+                if manager.hear('WATCHDOG=1', 10) is None:
+                    fail('no sign of life without its recording')
+                elsewhere.rename(recording)
+                if manager.hear('READY=1', 30) is None:
+                    fail('the recording came, and the threads do not run')
+                if manager.hear('WATCHDOG=1', 10) is None:
+                    fail('no sign of life in flight')
+                # A process that stands gives no sign of life.
+                daemon.send_signal(signal.SIGSTOP)
+                time.sleep(0.2)
+                manager.forget()
+                if manager.hear('WATCHDOG=1', 2) is not None:
+                    fail('a sign of life of a process that stands')
+                daemon.send_signal(signal.SIGCONT)
+                if manager.hear('WATCHDOG=1', 20) is None:
+                    fail('no sign of life after it went on')
+                daemon.send_signal(signal.SIGTERM)
+                if manager.hear('STOPPING=1', 10) is None:
+                    fail('it does not say that it stops')
+                if daemon.wait(20) != 0:
+                    fail(f'ended with {daemon.returncode}')
+            finally:
+                daemon.kill()
+                daemon.wait()
+                log.seek(0)
+                sys.stdout.write(log.read())
+
+
+main()
