@@ -1,6 +1,7 @@
 #include "firmware_app/autopilot/link_runner.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include "hal/rt/wake_up.h"
 
@@ -13,6 +14,8 @@ class LinkRunnerTest : public ::testing::Test {
   void SetUp() override {
     LinkRunnerOptions options;
     options.settings.can = "multicast:7:127.0.0.1";
+    // ctest runs these tests beside each other, and each is one node on the same bus: two of one id would be an error.
+    options.settings.link.parameters[static_cast<std::size_t>(link::Parameter::kNodeId)] = 20 + getpid() % 100;
     options.settings.link.identity.unique_id = link::dronecan::unique_id_from("link_runner_test");
     options.heartbeats = &heartbeats_;
     options.settings.link.heartbeats = &heartbeats_;
@@ -74,7 +77,7 @@ TEST_F(LinkRunnerTest, SensorAndDetectorAreNamedAndAreNoErrorOfTheirs) {
   const auto condition = last_condition();
   EXPECT_EQ(condition.reasons & (link::kImuFailed | link::kDetectorFailed), link::kImuFailed | link::kDetectorFailed);
   EXPECT_EQ(condition.reasons & link::kPoseStalled, 0);
-  EXPECT_EQ(condition.health, link::dronecan::NodeHealth::kOk);
+  EXPECT_EQ(condition.health, link::dronecan::NodeHealth::kOk) << condition.reasons;
 }
 
 TEST_F(LinkRunnerTest, AThreadThatFellSilentIsAFailureOfTheProcess) {

@@ -88,7 +88,7 @@ def words(program, scenario):
         check(code == 0 and "WRONG" not in text and "all fits" in text, "all fits: exit code %s" % code)
         if code != 0:
             print(text)
-        for said in ("the calibration fits its size", "inertial sensor:", "bus multicast:0: open", "its 30 parameters fit",
+        for said in ("the calibration fits its size", "inertial sensor:", "bus multicast:0: open", "its 34 parameters fit",
                      "the camera looks "):
             check(said in text, "tells of: " + said)
         ap.node.close()
