@@ -45,7 +45,11 @@ void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const
   B.block<3, 3>(6, 3) = R_mid * dt2;
   Vec6 variance;
   variance << Vec3::Constant(noise.gyro * noise.gyro / dt), Vec3::Constant(noise.accel * noise.accel / dt);
-  covariance_ = A * covariance_ * A.transpose() + B * variance.asDiagonal() * B.transpose();
+  // lazyProduct: from nine rows on Eigen's operator* calls its blocked product, which allocates.
+  const Mat9 carried = A.lazyProduct(covariance_);
+  covariance_ = carried.lazyProduct(A.transpose());
+  const Eigen::Matrix<double, 9, 6> weighted = B * variance.asDiagonal();
+  covariance_ += weighted.lazyProduct(B.transpose());
 
   dp_dba_ += dv_dba_ * dt - R_mid * dt2;
   dp_dbg_ += dv_dbg_ * dt - R_force * mid_dbg * dt2;

@@ -9,6 +9,7 @@
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
@@ -201,9 +202,7 @@ rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& st
     out.calibration = opened.value()->calibration();
     source = std::move(opened).value();
   } else {
-    const app::Config defaults;
-    const bool here = std::filesystem::is_directory(defaults.camera.scenarios);
-    const auto scenario = sim::find_scenario(o.input, here ? defaults.camera.scenarios : GODWIT_SCENARIO_DIR);
+    const auto scenario = sim::find_scenario(o.input, app::scenario_folder({}));
     if (!scenario) {
       return rt::Error{o.input + ": neither the folder of a sequence nor a scenario: " + scenario.error().message};
     }

@@ -9,7 +9,7 @@
 namespace godwit::bench {
 
 /// Draws a row for each flight: how often which age at pose, and the age over the flight, with delivery and deadline as
-/// lines. PNG by the file's name. Error: nothing to draw, or the file cannot be written.
+/// lines, as a PNG. Error: the file cannot be written.
 rt::Result<void> plot(const Run& run, const std::string& file);
 
 }  // namespace godwit::bench
