@@ -41,7 +41,9 @@ bool solve_with_gravity(const Eigen::Matrix<double, kRest + 3, kRest + 3>& H,
   using Rest = Eigen::Matrix<double, kRest, kRest>;
   const Eigen::LLT<Rest> llt(Rest(H.template topLeftCorner<kRest, kRest>()));
   if (llt.info() != Eigen::Success) return false;
-  const Eigen::Matrix<double, kRest, 3> K = llt.solve(H.template topRightCorner<kRest, 3>());
+  // Column by column: of more than one Eigen solves by blocks, which may allocate.
+  Eigen::Matrix<double, kRest, 3> K;
+  for (int i = 0; i < 3; ++i) K.col(i) = llt.solve(H.template topRightCorner<kRest, 3>().col(i));
   const Mat3 S = H.template bottomRightCorner<3, 3>() - H.template bottomLeftCorner<3, kRest>() * K;
   const Vec3 q = b.template tail<3>() - K.transpose() * b.template head<kRest>();
   *free_gravity = S.llt().solve(q).norm();
@@ -141,7 +143,7 @@ Alignment whole(std::span<const InertialNode> nodes, const CameraMounting& m, co
     Eigen::Matrix<double, 3, 10> A;
     A << -t * Mat3::Identity(), nodes[k + 1].sight.camera - nodes[0].sight.camera, -dP, -0.5 * t * t * Mat3::Identity();
     const Vec3 y = P + (R_next - R_0) * m.t_body_cam_m;
-    H += A.transpose() * A;
+    H += A.transpose().lazyProduct(A);  // ten rows: operator* would take the blocked product, which allocates
     b += A.transpose() * y;
   }
   H.block<3, 3>(4, 4).diagonal().array() += (kPlaceSigma / kBiasSigma) * (kPlaceSigma / kBiasSigma);

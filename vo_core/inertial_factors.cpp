@@ -139,10 +139,18 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
 void whiten_pair(const Preintegration& d, const VisionSight& at_i, const InertialModel& model, PairResidual* r,
                  PairJacobian* J_i, PairJacobian* J_j) {
   const double root = std::sqrt(d.dt_s());
-  const Eigen::LLT<Mat9> llt(d.covariance());
-  llt.matrixL().solveInPlace(r->head<9>());
-  llt.matrixL().solveInPlace(J_i->topRows<9>());
-  llt.matrixL().solveInPlace(J_j->topRows<9>());
+  const Mat9 L = d.covariance().llt().matrixL();
+  // Written out: of a matrix Eigen solves by blocks, which may allocate.
+  for (int row = 0; row < 9; ++row) {
+    for (int k = 0; k < row; ++k) {
+      (*r)[row] -= L(row, k) * (*r)[k];
+      J_i->row(row) -= L(row, k) * J_i->row(k);
+      J_j->row(row) -= L(row, k) * J_j->row(k);
+    }
+    (*r)[row] /= L(row, row);
+    J_i->row(row) /= L(row, row);
+    J_j->row(row) /= L(row, row);
+  }
   const auto weigh = [&](int row, int rows, double sigma) {
     r->segment(row, rows) /= sigma;
     J_i->middleRows(row, rows) /= sigma;
