@@ -58,10 +58,14 @@ link::PoseState pose_state(std::string_view name) {
   return P::kLost;
 }
 
+Eigen::Matrix3d PoseSampler::world_of(const FrameRecord& record) const {
+  return record.metric ? Eigen::Matrix3d(Eigen::Matrix3d::Identity()) : R_world_map_;
+}
+
 void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance) {
   if (!record.map_moved) return;
-  const Eigen::Vector3d moved = R_world_map_ * Eigen::Vector3d(record.moved_by.data());
-  const Eigen::Vector3d turned = R_world_map_ * Eigen::Vector3d(record.turned_by.data());
+  const Eigen::Vector3d moved = world_of(record) * Eigen::Vector3d(record.moved_by.data());
+  const Eigen::Vector3d turned = world_of(record) * Eigen::Vector3d(record.turned_by.data());
   fit_.shift(moved);
   last_q_ = Eigen::AngleAxisd(turned.norm(), turned.stableNormalized()) * last_q_;
   if (moved.norm() > std::max(3 * sigma_of(covariance, 0), kJumpPosition) ||
@@ -93,8 +97,8 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   }
   const Eigen::Quaterniond q_map_cam(record.q_world_cam[3], record.q_world_cam[0], record.q_world_cam[1],
                                      record.q_world_cam[2]);
-  const Eigen::Quaterniond q_world_cam = (Eigen::Quaterniond(R_world_map_) * q_map_cam).normalized();
-  const Eigen::Vector3d position = R_world_map_ * Eigen::Vector3d(record.t_world_cam.data());
+  const Eigen::Quaterniond q_world_cam = (Eigen::Quaterniond(world_of(record)) * q_map_cam).normalized();
+  const Eigen::Vector3d position = world_of(record) * Eigen::Vector3d(record.t_world_cam.data());
   const Eigen::Matrix3d R_world_cam = q_world_cam.toRotationMatrix();
   const Eigen::Matrix<double, 6, 6> covariance = world_covariance(record.covariance, R_world_cam);
   follow_correction(record, covariance);
@@ -105,7 +109,12 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   Eigen::Map<Eigen::Vector3d>(s.position.data()) = position;
   s.orientation = {q_world_cam.w(), q_world_cam.x(), q_world_cam.y(), q_world_cam.z()};
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = covariance;
-  if (s.has_velocity) {
+  if (record.metric) {
+    s.has_scale = s.has_gravity = s.has_velocity = true;
+    s.velocity = record.velocity;
+    const auto& c = record.velocity_covariance;
+    s.velocity_covariance = {c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5]};
+  } else if (s.has_velocity) {
     // Positions on end share what the map is off by: between them only each frame's own noise counts.
     const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);
     const VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, own_sigma);

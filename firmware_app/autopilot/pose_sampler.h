@@ -24,14 +24,16 @@ class PoseSampler {
  public:
   explicit PoseSampler(const Eigen::Matrix3d& R_world_map) : R_world_map_(R_world_map) {}
 
-  /// Frames in the order of their capture, processed ones only. Scale and gravity are not known to the odometry alone:
-  /// lengths are the map's, and the sample says so.
+  /// Frames in the order of their capture, processed ones only. Where the record is not metric, lengths are the map's,
+  /// neither scale nor gravity is known, and the sample says so.
   ///
   /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
   /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts.
   link::PoseSample sample(const FrameRecord& record);
 
  private:
+  /// From the record's world to the link's: a metric record has the link's already.
+  Eigen::Matrix3d world_of(const FrameRecord& record) const;
   void follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance);
 
   const Eigen::Matrix3d R_world_map_;

@@ -50,7 +50,7 @@ class ShowingSink final : public FrameSink {
   EventClock clock_;
 };
 
-void tell(const RunWriter& writer, const std::string& folder) {
+void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
   const RunSummary s = writer.summary();
   const std::uint64_t lost = s.counters.due - s.counters.processed;
   fmt::print("{} frames, {} tracked ({:.2f} %), {} map{}\n", s.counters.due, s.tracked, 100.0 * s.tracked_share, s.maps,
@@ -71,8 +71,8 @@ void tell(const RunWriter& writer, const std::string& folder) {
     fmt::print("no pose was found\n");
   }
   if (const auto& imu = writer.pipeline().imu) {
-    fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences; they are not used yet\n", imu->samples, imu->gaps,
-               imu->dropped, imu->silences);
+    fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences{}\n", imu->samples, imu->gaps, imu->dropped,
+               imu->silences, inertial ? "" : "; they were watched, not used");
   }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,
@@ -105,7 +105,8 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     view.emplace(std::move(opened).value());
   }
   auto assembled =
-      assemble(config, calibration, {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr});
+      assemble(config, calibration,
+               {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial});
   if (!assembled) return refuse(assembled.error().message);
   const Assembly& parts = assembled.value();
   if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
@@ -155,7 +156,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   writer.set_pipeline(run.value());
   auto finished = writer.finish(description);
   if (!finished) return failed(finished.error().message);
-  tell(writer, plan.out);
+  tell(writer, plan.out, plan.inertial);
   if (view) {
     if (!view->error().empty()) return failed("--view: " + view->error());
     fmt::print("{} pictures of what was seen in {}\n", view->written(), plan.view);

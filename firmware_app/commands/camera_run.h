@@ -24,6 +24,7 @@ struct CameraRunPlan {
   std::int64_t total = 0;       ///< pictures to come, for the progress bar
   MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
+  bool inertial = false;        ///< and used: poses are metric and level
   std::string view;             ///< folder for pictures of what was seen; empty: none
   std::int64_t view_every = 30;
 };

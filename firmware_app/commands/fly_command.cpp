@@ -79,6 +79,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.total = camera.left();
   plan.masks = camera.masks();
   plan.imu = imu.get();
+  plan.inertial = a.run.imu == "on";
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
   if (a.render_ahead) {

@@ -19,12 +19,6 @@
 namespace godwit::app {
 namespace {
 
-/// What this version cannot do is refused, not ignored: a result without it would pass for one with it.
-std::string missing_part(const ReplayArguments& a) {
-  if (a.imu == "on") return "--imu on: this version does not use an IMU yet; --imu watch reads it beside the camera";
-  return {};
-}
-
 /// Against what moves: a flag that is given wins over the file. What neither names is off, whatever its default in
 /// flight: a replay measures what it is told to.
 void take_mover_options(const ReplayArguments& a, const ConfigReport& file, Config* config) {
@@ -94,8 +88,9 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
   command
       ->add_option(
           "--imu", a->imu,
-          "watch: read the IMU beside the camera and, but for --sequential, tell when it is silent; on: refused, the "
-          "pose does not use it yet")
+          "on: poses in metres, z up, once the IMU has shown both, frames before that not tracked; not with --can or "
+          "--mavlink, as the covariance is still too small (docs/inertial.md); watch: read it beside the camera and, "
+          "but for --sequential, tell when it is silent")
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
   command
@@ -148,11 +143,6 @@ bool take_link_options(const std::string& can, const std::string& mavlink, Confi
 }
 
 bool check_run_arguments(const ReplayArguments& a, Config* config) {
-  const std::string missing = missing_part(a);
-  if (!missing.empty()) {
-    refuse(missing);
-    return false;
-  }
   if (a.sequential && a.pace == "real") {
     refuse("--sequential has no pace: leave --pace real out");
     return false;
@@ -185,6 +175,11 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
   }
   if (wants_link(*config) && a.pace != "real") {
     refuse("--can, --mavlink: an autopilot takes poses when they happen; add --pace real");
+    return false;
+  }
+  // Their errors come out up to four times what the covariance says (docs/inertial.md): a vehicle would trust them.
+  if (wants_link(*config) && a.imu == "on") {
+    refuse("--imu on: its covariance is still too small for an autopilot; leave --can, --mavlink out, or --imu on");
     return false;
   }
   return true;
@@ -220,6 +215,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.start = a.start;
   plan.total = camera.value()->total();
   plan.imu = imu.get();
+  plan.inertial = a.imu == "on";
   plan.view = a.view;
   plan.view_every = a.view_every;
   return run_camera(camera.value().get(), calibration, config, plan, stop);

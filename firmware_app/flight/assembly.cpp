@@ -65,6 +65,13 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
   OdometryOptions odometry = odometry_options(calibration);
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
   odometry.gate = config.gate.enabled;
+  if (plan.inertial) {
+    if (!calibration.T_body_cam)
+      return rt::Error{
+          (plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") +
+          std::string("the inertial sensor cannot be used without T_body_cam: where the camera sits on it")};
+    odometry.inertial_T_body_cam = calibration.T_body_cam;
+  }
   MaskSource* const masks = plan.masks != nullptr ? plan.masks : out.dynamic.get();
   out.stage = make_odometry_stage(model.value(), odometry, out.pool.get(), masks, plan.view);
   return out;

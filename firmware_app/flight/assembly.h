@@ -22,6 +22,7 @@ struct AssemblyPlan {
   bool sequential = false;       ///< results of the mapper come pipeline.mapper_delay_frames later
   MaskSource* masks = nullptr;   ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   FrameView* view = nullptr;     ///< may be null
+  bool inertial = false;         ///< the pipeline has an inertial sensor, and it is to be used
 };
 
 /// Destroyed from the last to the first: the pool outlives what points into it.

@@ -1,10 +1,13 @@
 // What is known of one frame when it is done: what the pipeline hands to files, logs and links.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <limits>
 #include <string_view>
 
 #include "hal/rt/time.h"
@@ -52,6 +55,12 @@ struct Measured {
   std::int32_t limit = 0;
 };
 
+/// A figure as Measured holds it: rounded; what it cannot hold, and what is no number, is the largest of its sign.
+inline std::int32_t measured_figure(double x) {
+  constexpr double kMost = std::numeric_limits<std::int32_t>::max();
+  return static_cast<std::int32_t>(std::isnan(x) ? kMost : std::round(std::clamp(x, -kMost, kMost)));
+}
+
 /// What the mapper did between two frames.
 struct MappingRecord {
   std::uint32_t messages = 0;                         ///< frames and keyframes it worked on; 0: nothing came back
@@ -97,11 +106,17 @@ struct FrameRecord {
   std::array<double, 3> t_ref_cam{};
   std::array<double, 4> q_ref_cam{};  ///< x y z w
   std::array<double, 21> reference_covariance{};
-  double median_depth = 0;           ///< of the points behind the pose [map units]
-  const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
-  MappingRecord mapping;             ///< what the mapper has done since the frame before
-  Measured why;                      ///< why the state is what it is; processed frames
-  ShortText reason;                  ///< the same in words, or why the picture was not flown
+  /// The pose, its covariance, moved_by and turned_by are in the navigation frame: metres, z up; and the camera's
+  /// velocity is known. own_covariance, the pose relative to the reference keyframe with its covariance, and
+  /// median_depth stay in map units: they are what vision saw, and whoever reads them needs no metres.
+  bool metric = false;
+  std::array<double, 3> velocity{};             ///< of the camera along the frame's axes [m/s]
+  std::array<double, 6> velocity_covariance{};  ///< upper triangle by rows
+  double median_depth = 0;                      ///< of the points behind the pose [map units]
+  const char* keyframe_reason = "";             ///< static text: why the frame should become a keyframe
+  MappingRecord mapping;                        ///< what the mapper has done since the frame before
+  Measured why;                                 ///< why the state is what it is; processed frames
+  ShortText reason;                             ///< the same in words, or why the picture was not flown
 };
 
 }  // namespace godwit::app

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "firmware_app/pipeline/inertial_poses.h"
 #include "firmware_app/pipeline/mask_exchange.h"
 #include "hal/rt/spsc_ring.h"
 #include "vo_core/mapper.h"
@@ -39,7 +40,9 @@ class OdometryStage final : public FrameStage {
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
         mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, keyframe_slots(*pool)), channel_.get())),
-        exchange_(masks, tracker_.get()) {}
+        exchange_(masks, tracker_.get()) {
+    if (options.inertial_T_body_cam) inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam);
+  }
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     vo::FrameInput input;
@@ -54,6 +57,7 @@ class OdometryStage final : public FrameStage {
       exchange_.purge_movers(frame.meta.t_capture_ns);
     }
     input.feature_share = feature_share_;
+    if (inertial_ != nullptr) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,
@@ -61,8 +65,13 @@ class OdometryStage final : public FrameStage {
     if (masks_ != nullptr) exchange_.frame_done(frame.meta.t_capture_ns, result);
     fill(result, record);
     take_mapping(&record->mapping);
+    if (inertial_ != nullptr) inertial_->make_metric(result, frame.meta.t_capture_ns, record);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
+  }
+
+  void take_imu(const hal::ImuSample& sample) override {
+    if (inertial_ != nullptr) inertial_->take(sample);
   }
 
   void limit_features(double share) override { feature_share_ = share; }
@@ -183,7 +192,8 @@ class OdometryStage final : public FrameStage {
   static constexpr std::size_t kReports = 16;  ///< more than there are messages
   rt::SpscRing<vo::MapperReport, kReports> reports_;
   // Tracker's own.
-  MaskExchange exchange_;  ///< used only with masks
+  MaskExchange exchange_;                    ///< used only with masks
+  std::unique_ptr<InertialPoses> inertial_;  ///< null: vision alone
   double feature_share_ = 1.0;
 };
 

@@ -1,7 +1,9 @@
 // The odometry as a stage of the pipeline: the only place where the application touches vo::Tracker and vo::Mapper.
 #pragma once
 
+#include <array>
 #include <memory>
+#include <optional>
 
 #include "firmware_app/pipeline/frame_view.h"
 #include "firmware_app/pipeline/mask_source.h"
@@ -20,6 +22,9 @@ struct OdometryOptions {
   double readout_frames = 0;
   double readout_s = 0;  ///< the same in seconds
   bool gate = false;     ///< find what moves by geometry (vo_core/motion_gate.h) and leave it out
+  /// Use the inertial sensor: poses are then metric and level, and only frames with such a pose count as tracked.
+  /// Row by row; maps camera points into the body, whose axes the sensor's readings have.
+  std::optional<std::array<double, 16>> inertial_T_body_cam;
 };
 
 /// What the odometry must know of this camera beside its model: the rolling shutter.

@@ -1,7 +1,9 @@
+#include <cmath>
 #include <csignal>
 #include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <limits>
 #include <sstream>
 #include <sys/resource.h>
 
@@ -65,6 +67,14 @@ std::string field(const std::string& header, const std::string& line, const std:
   }
   ADD_FAILURE() << "no column " << name;
   return {};
+}
+
+TEST(MeasuredFigure, HoldsWhatAWholeNumberCan) {
+  EXPECT_EQ(measured_figure(2.6), 3);
+  EXPECT_EQ(measured_figure(-2.6), -3);
+  EXPECT_EQ(measured_figure(5.7e11), std::numeric_limits<std::int32_t>::max());
+  EXPECT_EQ(measured_figure(-5.7e11), -std::numeric_limits<std::int32_t>::max());
+  EXPECT_EQ(measured_figure(std::nan("")), std::numeric_limits<std::int32_t>::max());
 }
 
 FrameRecord tracked_frame(std::uint32_t sequence) {

@@ -70,6 +70,24 @@ TEST(PoseSampler, TheMapsFirstViewIsALevelBody) {
   EXPECT_LT(body.position.norm(), 1e-12);
 }
 
+TEST(PoseSampler, AMetricRecordIsPassedOnAsItIs) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  FrameRecord r = record_at(0, cruise(0.3));
+  r.metric = true;
+  r.velocity = {1, 2, 3};
+  r.velocity_covariance = {1e-4, 1e-5, 2e-5, 4e-4, 3e-5, 9e-4};
+  const link::PoseSample s = sampler.sample(r);
+  EXPECT_TRUE(s.has_scale && s.has_gravity && s.has_velocity) << "from the first one on";
+  EXPECT_EQ(s.position, r.t_world_cam);
+  EXPECT_EQ(s.velocity, r.velocity);
+  EXPECT_EQ(s.velocity_covariance[5], 3e-5);
+  EXPECT_EQ(s.velocity_covariance[7], 3e-5);
+  EXPECT_NEAR(std::abs(Eigen::Quaterniond(s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3])
+                           .dot(cruise(0.3).quaternion())),
+              1, 1e-12);
+  EXPECT_FALSE(sampler.sample(record_at(1, cruise(0.3))).has_scale);
+}
+
 // The camera moves along its own axes: what of it is front, right and down of the body.
 TEST(PoseSampler, MovesOfTheCameraAreMovesOfTheBody) {
   PoseSampler sampler(world_of_level_start(mounting()));

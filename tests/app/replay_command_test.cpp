@@ -84,7 +84,7 @@ TEST_F(Replay, TellsTheStateAndWhyInTheLog) {
 
 TEST_F(Replay, WatchesTheImuBesideTheCamera) {
   EXPECT_THAT(replay("--imu watch").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
-  EXPECT_EQ(replay("--imu on").exit_code, 2) << "what is not used is not taken";
+  EXPECT_THAT(replay("--imu on").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
   std::string samples;
   for (int i = -10; i <= 20; ++i) samples += std::to_string(100 + 0.01 * i) + "001 0 0 0 0 0 -9.81\n";
   write_file(sequence() + "/imu.txt", samples);
@@ -118,13 +118,25 @@ TEST_F(Replay, StartAndFramesChooseAPart) {
   EXPECT_THAT(beyond.text, HasSubstr("lists 12 pictures"));
 }
 
-TEST_F(Replay, WhatDoesNotExistYetIsRefusedInWords) {
-  for (const char* option : {"--imu on"}) {
-    const Outcome outcome = replay(option);
-    EXPECT_EQ(outcome.exit_code, 2) << option;
-    EXPECT_THAT(outcome.text, AllOf(HasSubstr(std::string(option).substr(0, 6)), HasSubstr("yet")));
-    EXPECT_FALSE(fs::exists(out()));
+TEST_F(Replay, TheImuIsUsedWhereTheCalibrationSaysHowTheCameraSitsOnIt) {
+  std::string samples;
+  for (int i = -10; i <= 60; ++i) samples += std::to_string(100 + 0.01 * i) + "001 0 0 0 0 0 -9.81\n";
+  write_file(sequence() + "/imu.txt", samples);
+  const Outcome without = replay("--imu on --sequential");
+  EXPECT_EQ(without.exit_code, 2);
+  EXPECT_THAT(without.text, HasSubstr("without T_body_cam"));
+  write_file(sequence() + "/camera.yaml",
+             read_file(sequence() + "/camera.yaml") + "T_body_cam: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n");
+  for (const char* mode : {"--sequential", ""}) {
+    const Outcome outcome = replay(std::string("--imu on ") + mode);
+    EXPECT_EQ(outcome.exit_code, 0) << outcome.text;
+    EXPECT_THAT(outcome.text, Not(HasSubstr("not used")));
+    EXPECT_THAT(outcome.text, HasSubstr("12 frames, 0 tracked")) << "nothing has shown metres";
+    EXPECT_EQ(count_lines(out() + "/trajectory.tum"), 1u);
   }
+}
+
+TEST_F(Replay, WhatIsOffIsOff) {
   EXPECT_EQ(replay("--detector off --gate off --imu off --sequential").exit_code, 0);
 }
 
@@ -307,6 +319,10 @@ TEST_F(Replay, LinkOptionsThatCannotBeFollowedAreRefusedWithTheReason) {
   refused("--can multicast:0", "add --pace real");
   refused("--sequential --can multicast:0", "add --pace real");
   refused("--pace real --bench-metric", "it goes with --can or --mavlink");
+  refused("--pace real --imu on --can multicast:0", "too small for an autopilot");
+  refused("--pace real --imu on --bench-metric --mavlink udp:127.0.0.1:14550", "too small for an autopilot");
+  write_file(folder_ / "bus.toml", "[can]\nbus = \"multicast:0\"\n");
+  refused("--pace real --imu on --config " + (folder_ / "bus.toml"), "too small for an autopilot");
   write_file(folder_ / "px4.toml", "[link]\nprofile = \"px4\"\n");
   refused("--pace real --can multicast:0 --config " + (folder_ / "px4.toml"), "PX4 takes no MAVLink through CAN");
   write_file(folder_ / "state.toml", "[link]\nstate_folder = \"/no/such/folder\"\n");

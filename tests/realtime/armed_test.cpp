@@ -184,6 +184,38 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
       static_cast<unsigned long long>(link_steps), resident_after - resident_before, resident_after);
 }
 
+/// Ends the flight after so many records.
+class Ending final : public test::Notes {
+ public:
+  explicit Ending(std::size_t frames) : Notes(frames), frames_(frames) {}
+  rt::Result<void> take(const FrameRecord& record) override {
+    stop.store(records.size() + 1 >= frames_);
+    return Notes::take(record);
+  }
+  std::atomic<bool> stop{false};
+
+ private:
+  const std::size_t frames_;
+};
+
+// The flight with its own sensor's readings, one thread: in it readings, alignment and smoother are under the traps.
+TEST(Armed, NoHeapNoLockWhereTheInertialSensorIsUsed) {
+  const auto camera = test::world().flight->camera(0);
+  const auto imu = test::world().flight->imu(0);
+  test::Odometry odometry(false, true);
+  PipelineOptions options;
+  options.sequential = true;
+  options.imu = imu.get();
+  Ending notes(100);
+  set_traps(true);
+  const auto run = run_pipeline(camera.get(), odometry.stage.get(), odometry.pool.get(), options, &notes, notes.stop);
+  set_traps(false);
+  ASSERT_TRUE(run.ok()) << run.error().message;
+  int metric = 0;
+  for (const FrameRecord& r : notes.records) metric += r.metric ? 1 : 0;
+  EXPECT_GT(metric, 10) << "what was never solved proves nothing";
+}
+
 /// Tracks nothing and misbehaves on each frame.
 class Offender final : public FrameStage {
  public:

@@ -93,7 +93,7 @@ class RestingImu final : public hal::Imu {
 
 /// Pool and stage for the street's camera.
 struct Odometry {
-  explicit Odometry(bool with_detector = false) {
+  explicit Odometry(bool with_detector = false, bool inertial = false) {
     rt::FramePool::Layout layout;
     layout.width = world().calibration.width;
     layout.height = world().calibration.height;
@@ -102,7 +102,9 @@ struct Odometry {
     layout.readers = with_detector ? app::kFrameReadersWithDetector : app::kFrameReaders;
     pool = std::move(rt::FramePool::create(layout)).value();
     auto model = app::make_camera_model(world().calibration);
-    stage = app::make_odometry_stage(model.value(), app::odometry_options(world().calibration), pool.get());
+    app::OdometryOptions options = app::odometry_options(world().calibration);
+    if (inertial) options.inertial_T_body_cam = world().calibration.T_body_cam;
+    stage = app::make_odometry_stage(model.value(), options, pool.get());
   }
   std::unique_ptr<rt::FramePool> pool;
   std::unique_ptr<app::FrameStage> stage;
