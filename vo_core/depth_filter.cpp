@@ -20,7 +20,10 @@ void DepthEstimate::update(double x, double tau2) {
   const double m = s2 * (inv_depth / variance + x / tau2);
   const double d = x - inv_depth;
   double c1 = a / (a + b) * std::exp(-0.5 * d * d / norm_scale2) / std::sqrt(2.0 * M_PI * norm_scale2);
-  double c2 = b / (a + b) / inv_range;
+  // Outliers spread over the range, or over what good ones spread over where that is wider. Otherwise a measurement
+  // without information, however near its mean, would pass for an outlier.
+  const double spread = std::max(inv_range, std::sqrt(2.0 * M_PI * norm_scale2));
+  double c2 = b / (a + b) / spread;
   const double norm = c1 + c2;
   if (!(norm > 0.0)) return;
   c1 /= norm;

@@ -15,9 +15,10 @@ struct DepthEstimate {
   /// Prior: mean depth of the scene, nearest depth considered.
   static DepthEstimate prior(double depth_mean, double depth_min);
 
-  /// Fuses a measured inverse depth with its variance (the closed-form moment matching of the paper above).
+  /// Fuses a measured inverse depth with its variance (the closed-form moment matching of the paper above). One less
+  /// certain than the range of what may be measured fits anything: it tells neither the depth nor whether it is good.
   void update(double measured, double measured_variance);
-  /// A search that found nothing although the seed was in view.
+  /// A search that found nothing although the seed was in view and would have been told apart.
   void miss() { b += 0.5; }
 
   /// One sigma of depth over depth.

@@ -22,6 +22,7 @@ const char* state_name(State s) {
 
 State Health::step(const FrameEvidence& e) {
   give_up_ = false;
+  if (e.kind != FrameEvidence::Kind::kSamePicture) t_new_picture_ns_ = e.t_capture_ns;
   switch (e.kind) {
     case FrameEvidence::Kind::kNoMap:
       // INITIALISING or LOST: stays so. The caller knows best what the initialisation lacks.
@@ -47,7 +48,9 @@ State Health::step(const FrameEvidence& e) {
                           : Reason{"too few features", e.measurements, options_.min_measurements});
       break;
     case FrameEvidence::Kind::kSamePicture:
-      if (state_ == State::kInitialising || state_ == State::kLost) {
+      // No pose comes of it, but neither is one lost as long as it does not last.
+      if (state_ == State::kInitialising || state_ == State::kLost ||
+          e.t_capture_ns - t_new_picture_ns_ <= options_.frozen_ns) {
         reason_ = {"the picture is the one before, bit for bit", 0, 0};
       } else {
         without_pose(e, {"the picture is the one before, bit for bit", 0, 0});

@@ -25,6 +25,9 @@ struct Reason {
 struct HealthOptions {
   int min_measurements = 30;                   ///< image measurements without which a frame does not count (DESIGN.md)
   rt::TimeNs coast_ns = rt::kNsPerSecond / 2;  ///< longest flight on inertial measurements alone
+  /// A picture may be repeated for so long, as recorders and drivers do, before the camera is taken for a frozen one:
+  /// until then the next new picture is followed as if nothing had been (TrackerOptions::direct_gap_ns).
+  rt::TimeNs frozen_ns = 150 * rt::kNsPerMs;
   rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;  ///< search for the old map so long, then begin a new one
 };
 
@@ -68,7 +71,8 @@ class Health {
   State state_ = State::kInitialising;
   Reason reason_;
   bool give_up_ = false;
-  bool counting_ = false;  ///< since t_first_without_ns_ no picture gave a pose
+  rt::TimeNs t_new_picture_ns_ = 0;  ///< capture time of the last picture that was a new one
+  bool counting_ = false;            ///< since t_first_without_ns_ no picture gave a pose
   rt::TimeNs t_first_without_ns_ = 0;
   rt::TimeNs without_pose_ns_ = 0;
 };

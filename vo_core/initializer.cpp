@@ -1,5 +1,6 @@
 #include "vo_core/initializer.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -107,6 +108,7 @@ struct Initializer::Impl {
   int solution_count = 0;
 
   SE3 T_cur_ref;
+  Vec6 velocity_ref = Vec6::Zero(), velocity_cur = Vec6::Zero();
   std::vector<InitPoint> points;
   int point_count = 0;
 
@@ -290,6 +292,32 @@ struct Initializer::Impl {
     return accepted;
   }
 
+  /// The camera's velocity (left twist rate of its T_cam_world) that moves the accepted points as their tracks did at
+  /// the view: least squares on the plane z = 1. scale: of the points' depths.
+  Vec6 camera_velocity(const View& view, const SE3& T_view_ref, const MultiViewState& state, double scale) const {
+    Mat6 H = Mat6::Zero();
+    Vec6 b = Vec6::Zero();
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (good[p] == 0) continue;
+      const Vec3 q = T_view_ref * (Vec3(ref_xy[p].x(), ref_xy[p].y(), 1.0) * (scale / state.inverse_depth[p]));
+      Mat23 to_plane;
+      to_plane << 1.0, 0.0, -q.x() / q.z(), 0.0, 1.0, -q.y() / q.z();
+      to_plane /= q.z();
+      Mat26 J;
+      J << to_plane, -to_plane * skew(q);
+      H.noalias() += J.transpose() * J;
+      b.noalias() += J.transpose() * view.velocity[static_cast<std::size_t>(track_of[p])];
+    }
+    const Vec6 velocity = H.ldlt().solve(b);
+    return velocity.allFinite() ? velocity : Vec6::Zero();
+  }
+
+  Vec2f to_picture(const Vec2& xy, const Vec2f& otherwise) const {
+    Vec2 px;
+    return camera.project(Vec3(xy.x(), xy.y(), 1.0), &px) ? Vec2f(px.cast<float>()) : otherwise;
+  }
+
   /// Writes the accepted points with median depth 1 and returns the median of depth_sigma / depth.
   void publish(const MultiViewState& state, int views) {
     int n = 0;
@@ -300,6 +328,8 @@ struct Initializer::Impl {
     const double scale = 1.0 / median(n);
     T_cur_ref = state.T_view_ref[static_cast<std::size_t>(views - 1)];
     T_cur_ref.t *= scale;
+    velocity_ref = camera_velocity(first, SE3(), state, scale);
+    velocity_cur = camera_velocity(history[static_cast<std::size_t>(history_count - 1)], T_cur_ref, state, scale);
     point_count = 0;
     for (int i = 0; i < count; ++i) {
       const auto p = static_cast<std::size_t>(i);
@@ -307,9 +337,10 @@ struct Initializer::Impl {
       const auto track = static_cast<std::size_t>(track_of[p]);
       const double depth = scale / state.inverse_depth[p];
       const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
-      points[static_cast<std::size_t>(point_count++)] = {tracker.tracks()[track].px_ref, tracker.tracks()[track].px,
-                                                         features[track].level, depth * ray,
-                                                         depth_sigma[p] * depth * ray.norm()};
+      const KltTrack& seen = tracker.tracks()[track];
+      points[static_cast<std::size_t>(point_count++)] = {
+          seen.px_ref,           seen.px,     to_picture(ref_xy[p], seen.px_ref), to_picture(cur_xy[p], seen.px),
+          features[track].level, depth * ray, depth_sigma[p] * depth * ray.norm()};
     }
   }
 
@@ -443,6 +474,12 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
 
 const SE3& Initializer::T_cur_ref() const {
   return impl_->T_cur_ref;
+}
+const Vec6& Initializer::velocity_ref() const {
+  return impl_->velocity_ref;
+}
+const Vec6& Initializer::velocity_cur() const {
+  return impl_->velocity_cur;
 }
 std::span<const InitPoint> Initializer::points() const {
   return {impl_->points.data(), static_cast<std::size_t>(impl_->point_count)};

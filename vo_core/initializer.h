@@ -45,11 +45,12 @@ enum class InitStatus : std::uint8_t {
 
 /// One point of the first map.
 struct InitPoint {
-  Vec2f px_ref;        ///< in the first view, level-0 px
-  Vec2f px_cur;        ///< in the present view, level-0 px, sub-pixel
-  std::int8_t level;   ///< pyramid level of the feature in the first view
-  Vec3 p_ref;          ///< position in the first view's camera frame, units of the chosen scale
-  double depth_sigma;  ///< one sigma of the depth along the first view's ray, same units
+  Vec2f px_ref;                        ///< in the first view, level-0 px
+  Vec2f px_cur;                        ///< in the present view, level-0 px, sub-pixel
+  Vec2f px_ref_global, px_cur_global;  ///< both as a global shutter would have seen them
+  std::int8_t level;                   ///< pyramid level of the feature in the first view
+  Vec3 p_ref;                          ///< position in the first view's camera frame, units of the chosen scale
+  double depth_sigma;                  ///< one sigma of the depth along the first view's ray, same units
 };
 
 struct InitReport {
@@ -86,6 +87,9 @@ class Initializer {
 
   /// Valid after kDone until the next call.
   const SE3& T_cur_ref() const;
+  /// Left twist rates of T_ref_world and T_cur_world at their times, per frame interval, units of the chosen scale.
+  const Vec6& velocity_ref() const;
+  const Vec6& velocity_cur() const;
   std::span<const InitPoint> points() const;
 
  private:

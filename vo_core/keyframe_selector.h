@@ -1,8 +1,11 @@
-// When a tracked frame becomes a keyframe. Pure logic over figures of the frame.
+// When a tracked frame becomes a keyframe: figures of the frame against the map, and pure logic over them.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+
+#include "vo_core/geometry.h"
+#include "vo_core/map.h"
 
 namespace godwit::vo {
 
@@ -21,12 +24,13 @@ struct KeyframeSelectorOptions {
 };
 
 struct KeyframeFigures {
-  int keyframes = 0;  ///< in the map
+  static constexpr double kNone = 1e9;  ///< there is no such keyframe
+  int keyframes = 0;                    ///< in the map
   int frames_since_last = 0;
   int features = 0;                ///< inliers of this frame
   int last_keyframe_features = 0;  ///< inliers of the last keyframe when it was made
-  double nearest_distance = 0.0;   ///< to the nearest keyframe, over median depth
-  double nearest_angle_rad = 0.0;  ///< turned against that keyframe
+  double nearest_distance = 0.0;   ///< to the nearest keyframe that looks the same way, over median depth
+  double nearest_angle_rad = 0.0;  ///< turned, or rolled, against the keyframe at this place that is so least
   double last_distance = 0.0;      ///< to the last keyframe, over median depth
   double last_angle_rad = 0.0;     ///< turned against the last keyframe
   double uncovered = 0.0;          ///< share of the picture masked in the last keyframe and free now
@@ -39,11 +43,18 @@ inline const char* keyframe_reason_name(KeyframeReason reason) {
   return kNames[static_cast<std::size_t>(reason)];
 }
 
+/// Fills keyframes, nearest_* and last_* (that against keyframe `last_id`; left alone where there is none such).
+/// median_depth: of the scene, map units. No allocation.
+void compare_with_keyframes(const KeyframeSelectorOptions& o, const Map& map, const SE3& T_cam_world,
+                            double median_depth, std::uint32_t last_id, KeyframeFigures* f);
+
 inline KeyframeReason select_keyframe(const KeyframeSelectorOptions& o, const KeyframeFigures& f) {
   if (f.frames_since_last < o.min_frames) return KeyframeReason::kNone;
-  if (f.nearest_distance > (f.keyframes < o.young_keyframes ? o.young_distance : o.min_distance))
-    return KeyframeReason::kMoved;
-  if (f.nearest_angle_rad > o.min_angle_rad) return KeyframeReason::kTurned;
+  if (f.nearest_distance > (f.keyframes < o.young_keyframes ? o.young_distance : o.min_distance)) {
+    const bool only_turned = f.nearest_distance == KeyframeFigures::kNone && f.nearest_angle_rad > o.min_angle_rad &&
+                             f.nearest_angle_rad < KeyframeFigures::kNone;
+    return only_turned ? KeyframeReason::kTurned : KeyframeReason::kMoved;
+  }
   const bool dropped = f.features < o.low_features || f.features < o.feature_drop * f.last_keyframe_features;
   if (dropped && f.frames_since_last >= o.min_frames_on_drop &&
       (f.last_distance > o.min_distance_on_drop || f.last_angle_rad > o.min_angle_on_drop_rad))

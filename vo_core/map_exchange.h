@@ -60,7 +60,10 @@ struct MapperMessage {
   int slot = -1;
   rt::PyramidView pyramid;
   rt::TimeNs t_capture_ns = 0;
-  SE3 T_cam_world;
+  /// Pose relative to a keyframe that the receiver has: where that has moved meanwhile, the frame has with it. Id 0:
+  /// the world, for the first keyframe.
+  std::uint32_t anchor_id = 0;
+  SE3 T_cam_anchor;
   Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
   int tracked_features = 0;      ///< measurements of this frame
   double median_depth = 1.0;
@@ -108,7 +111,8 @@ struct MapDelta {
   static constexpr int kMaxRemoved = 512;
 
   std::uint32_t epoch = 0;
-  std::uint32_t sequence = 0;  ///< frame counter of the message that caused it
+  std::uint32_t sequence = 0;            ///< frame counter of the message that caused it
+  std::uint32_t newest_keyframe_id = 0;  ///< that the mapper had: the tracker moves those after it with their anchors
   int removed_observation_count = 0;
   int removed_point_count = 0;
   int removed_keyframe_count = 0;

@@ -1,6 +1,7 @@
 #include "vo_core/mapper.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "vo_core/matcher.h"
@@ -26,14 +27,8 @@ Mapper::Mapper(const CameraModel& camera, const MapperOptions& options, MapChann
       seeds_(std::make_unique<std::array<Seed, kMaxSeeds>>()) {}
 Mapper::~Mapper() = default;
 
-void Mapper::release(int slot, int count) {
-  if (slot >= 0 && release_count_ < static_cast<int>(releases_.size())) releases_[release_count_++] = {slot, count};
-}
-
 bool Mapper::take_release(SlotRelease* out) {
-  if (release_count_ == 0) return false;
-  *out = releases_[--release_count_];
-  return true;
+  return releases_.take(out);
 }
 
 void Mapper::remove_point(PointHandle h) {
@@ -69,20 +64,23 @@ bool Mapper::step() {
   if (m->kind == MessageKind::kReset) {
     handle_reset(*m);
   } else if (m->epoch != epoch_) {
-    release(m->slot, 1);
+    releases_.add(m->slot, 1);
   } else if (m->kind == MessageKind::kLateMask) {
     handle_late_mask(*m);
+  } else if (SE3 T_cam_world; !place_in_map(*m, &T_cam_world)) {
+    releases_.add(m->slot, 1);
   } else if (m->kind == MessageKind::kFrame) {
-    update_seeds(*m);
-    release(m->slot, 1);
+    update_seeds(*m, T_cam_world);
+    releases_.add(m->slot, 1);
   } else {
-    update_seeds(*m);
-    handle_keyframe(*m);
+    update_seeds(*m, T_cam_world);
+    handle_keyframe(*m, T_cam_world);
   }
   report_.keyframes = map_.keyframe_count();
   report_.points = map_.point_count();
   delta_->epoch = epoch_;
   delta_->sequence = m->sequence;
+  delta_->newest_keyframe_id = newest_keyframe_id_;
   if (!delta_->empty()) channel_->deltas.commit();
   delta_ = nullptr;
   channel_->messages.pop();
@@ -91,19 +89,31 @@ bool Mapper::step() {
 
 void Mapper::handle_reset(const MapperMessage& m) {
   for (int k = 0; k < kMaxKeyframes; ++k)
-    if (map_.keyframe(k).id != 0) release(map_.keyframe(k).slot, 1);
+    if (map_.keyframe(k).id != 0) releases_.add(map_.keyframe(k).slot, 1);
   map_.clear();
   for (Seed& s : *seeds_) s.active = false;
   epoch_ = m.epoch;
+  newest_keyframe_id_ = 0;
 }
 
-void Mapper::handle_keyframe(const MapperMessage& m) {
+bool Mapper::place_in_map(const MapperMessage& m, SE3* T_cam_world) const {
+  *T_cam_world = m.T_cam_anchor;
+  if (m.anchor_id == 0) return true;
+  const int anchor = map_.find_keyframe(m.anchor_id);
+  assert(anchor >= 0 && "the newest keyframes are never forgotten");
+  if (anchor < 0) return false;
+  *T_cam_world = m.T_cam_anchor * map_.keyframe(anchor).T_kf_world;
+  return true;
+}
+
+void Mapper::handle_keyframe(const MapperMessage& m, const SE3& T_cam_world) {
   Keyframe& kf = map_.insert_keyframe(m.keyframe_place, m.keyframe_id);
+  newest_keyframe_id_ = m.keyframe_id;
   kf.sequence = m.sequence;
   kf.slot = m.slot;
   kf.t_capture_ns = m.t_capture_ns;
   kf.pyramid = m.pyramid;
-  kf.T_kf_world = m.T_cam_world;
+  kf.T_kf_world = T_cam_world;
   kf.velocity = m.velocity;
   kf.median_depth = m.median_depth;
   masks_[static_cast<std::size_t>(m.keyframe_place)].assign(m.mask);
@@ -117,6 +127,9 @@ void Mapper::handle_keyframe(const MapperMessage& m) {
   }
   for (int i = 0; i < m.weak_count; ++i) remove_point(m.weak[i]);
   if (m.keyframe_id > 1) adjust(m.keyframe_place);
+  // It may have moved with its anchor: the tracker is told where it lies even if the adjustment left it there.
+  if (m.keyframe_id > 1 && bundle_.moved_keyframe_count() == 0)
+    delta_->moved_keyframes[delta_->moved_keyframe_count++] = {kf.id, kf.T_kf_world};
   create_seeds(m.keyframe_place, m);
   forget_keyframes(m.keyframe_place);
 }
@@ -256,6 +269,8 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
     return;
   }
   if (mask.masked(r.match.px)) return;
+  // Found, as it should be, but its ray does not meet the seed's: there is too little motion between the two to tell.
+  if (!r.depth_known) return;
   const double angle = options_.match_sigma_px * (1 << r.match.level) * camera_.rad_per_px();
   const Vec3 t_host_cur = -(T_cur_host.R.transpose() * T_cur_host.t);
   const double tau2 = inverse_depth_variance(t_host_cur, seed->feature.bearing, r.depth, angle);
@@ -288,8 +303,7 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   }
 }
 
-void Mapper::update_seeds(const MapperMessage& m) {
-  const SE3& T = m.T_cam_world;
+void Mapper::update_seeds(const MapperMessage& m, const SE3& T_cam_world) {
   int done = 0;
   for (int i = 0; i < kMaxSeeds; ++i) {
     // Newest first.
@@ -298,7 +312,7 @@ void Mapper::update_seeds(const MapperMessage& m) {
     ++report_.seeds;
     if (done >= options_.max_seed_updates) continue;
     const int before = report_.seeds_updated;
-    update_seed(&s, m.pyramid, m.mask, T);
+    update_seed(&s, m.pyramid, m.mask, T_cam_world);
     done += report_.seeds_updated - before;
   }
 }
@@ -431,7 +445,7 @@ void Mapper::forget_keyframes(int newest) {
     if (s.active && s.place == worst) s.active = false;
   const Keyframe& kf = map_.keyframe(worst);
   delta_->removed_keyframes[delta_->removed_keyframe_count++] = kf.id;
-  release(kf.slot, 1);
+  releases_.add(kf.slot, 1);
   map_.remove_keyframe(worst);
 }
 

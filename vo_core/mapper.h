@@ -14,6 +14,7 @@
 #include "vo_core/feature_detector.h"
 #include "vo_core/map_channel.h"
 #include "vo_core/rolling_shutter.h"
+#include "vo_core/slot_releases.h"
 
 namespace godwit::vo {
 
@@ -80,9 +81,10 @@ class Mapper {
   };
 
   void handle_reset(const MapperMessage& m);
-  void handle_keyframe(const MapperMessage& m);
+  void handle_keyframe(const MapperMessage& m, const SE3& T_cam_world);
+  bool place_in_map(const MapperMessage& m, SE3* T_cam_world) const;
   void handle_late_mask(const MapperMessage& m);
-  void update_seeds(const MapperMessage& m);
+  void update_seeds(const MapperMessage& m, const SE3& T_cam_world);
   void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world);
   rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);
   void create_seeds(int place, const MapperMessage& m);
@@ -91,7 +93,6 @@ class Mapper {
   void adjust(int place);
   void forget_keyframes(int newest);
   Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
-  void release(int slot, int count);
   void remove_point(PointHandle h);
   void remove_observation(int place, int feature);
 
@@ -101,6 +102,7 @@ class Mapper {
   MapDelta* delta_ = nullptr;
   Map map_;
   std::uint32_t epoch_ = 0;
+  std::uint32_t newest_keyframe_id_ = 0;
   std::array<CoarseMask, kMaxKeyframes> masks_;  ///< of the keyframes, by place
   std::unique_ptr<std::uint8_t[]> mask_storage_;
   FeatureDetector detector_;
@@ -111,8 +113,7 @@ class Mapper {
   double hunger_ = 0.0;       ///< 0: the tracker sees enough points, 1: none
   double sigma_limit_ = 0.0;  ///< converged_sigma, raised while the tracker starves
   MapperReport report_;
-  std::array<SlotRelease, 2 * kMaxKeyframes> releases_;
-  int release_count_ = 0;
+  SlotReleases releases_;
 };
 
 }  // namespace godwit::vo

@@ -236,7 +236,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
   result.match = align_match(cur, patch, source, A, level, best_px, true);
   if (!result.match.found) return result;
   const Vec3 f_cur = camera.unproject(result.match.px.cast<double>());
-  if (!depth_from_triangulation(T_cur_ref, f, f_cur, &result.depth)) result.match.found = false;
+  result.depth_known = depth_from_triangulation(T_cur_ref, f, f_cur, &result.depth);
   return result;
 }
 

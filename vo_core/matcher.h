@@ -50,7 +50,8 @@ constexpr int kMaxEpipolarSteps = 120;
 struct EpipolarResult {
   MatchResult match;
   double depth = 0.0;
-  bool visible = false;  ///< the search line crosses the picture (a failure then counts against the seed)
+  bool depth_known = false;  ///< the match's ray meets the source's: else it is found, and tells no depth
+  bool visible = false;      ///< the search line crosses the picture (a failure then counts against the seed)
 };
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
                               const rt::PyramidView& cur, double depth_min, double depth_max, int max_level);

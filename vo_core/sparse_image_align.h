@@ -31,6 +31,13 @@ struct RotationPrior {
   double sigma_rad = 0.0;  ///< 0: no prior
 };
 
+/// How a rolling shutter reads the two frames, which follow each other by `interval`: their motion goes on at the same
+/// rate while the rows are read.
+struct AlignShutter {
+  double readout = 0.0;    ///< first to last row, over the time between the frames; 0: global shutter, or unknown
+  double reference = 0.5;  ///< row, as a share of the height, that is read at the capture time
+};
+
 struct SparseAlignResult {
   SE3 T_cur_ref;
   int patches = 0;    ///< patches that took part at the finest level
@@ -46,7 +53,7 @@ class SparseImageAlign {
 
   /// Aligns cur to ref starting from T_init. At most kMaxFrameFeatures points are used.
   SparseAlignResult run(const rt::PyramidView& ref, const rt::PyramidView& cur, std::span<const AlignPoint> points,
-                        const SE3& T_init, const RotationPrior& prior);
+                        const SE3& T_init, const RotationPrior& prior, const AlignShutter& shutter = {});
 
  private:
   static constexpr int kParams = 8;  // translation, rotation, gain, offset
@@ -60,15 +67,19 @@ class SparseImageAlign {
     Eigen::Matrix<float, 6, 6> H;
     float sum_i, sum_ii;
     Vec3 p_ref;
+    double row;  ///< where it was last seen [level-0 px]
     bool visible;
   };
 
+  /// Time at which a row is read, over the time between the frames, 0 at the capture time.
+  double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
   void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
   int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, float gain, float offset, MatP* H, VecP* b,
                  float* cost);
 
   const CameraModel& camera_;
   SparseAlignOptions options_;
+  AlignShutter shutter_;
   int patch_count_ = 0;
   std::array<Patch, kMaxFrameFeatures> patches_;
 };

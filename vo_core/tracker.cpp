@@ -72,12 +72,14 @@ bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_c
   SE3 T_cur_last = T_cur_last_guess;
   // What an IMU has measured since the picture before belongs to the last frame only if that is the picture before.
   const RotationPrior prior = last_.counter + 1 == frame_counter_ ? in.rotation : RotationPrior{};
+  const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
+  const AlignShutter shutter{dt > 0.0 ? options_.shutter.readout_s / dt : 0.0, options_.shutter.reference};
   if (n >= 15)
-    T_cur_last = align_->run(last_.pyramid, frame->pyramid, std::span(align_points_.data(), n), T_cur_last_guess, prior)
-                     .T_cur_ref;
+    T_cur_last =
+        align_->run(last_.pyramid, frame->pyramid, std::span(align_points_.data(), n), T_cur_last_guess, prior, shutter)
+            .T_cur_ref;
   frame->T_cam_world = T_cur_last * last_.T_cam_world;
   // Velocity over the interval since the last frame: what the readout of this one sees.
-  const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
   frame->velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
   result->times.align += now() - t0;
   return n >= 15;
@@ -100,6 +102,7 @@ bool Tracker::align_with_keyframe(int attempt, Frame* frame, FrameResult* result
           kf.T_kf_world;
   }
   frame->velocity.setZero();
+  if (n < 15) refusal_ = {"no keyframe to begin with, points in it", n, 15};
   result->times.align += now() - t0;
   return n >= 15;
 }
@@ -108,6 +111,7 @@ bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result
   const rt::TimeNs t0 = now();
   const LandmarkReport found = landmarks_->find(*map_, frame->pyramid, frame->mask, attempt);
   if (found.found) frame->T_cam_world = found.T_cam_world;
+  if (!found.found) refusal_ = {"too few landmarks recognised", found.agreeing, options_.landmarks.min_agreeing};
   frame->velocity.setZero();
   result->times.align += now() - t0;
   return found.found;
@@ -226,29 +230,11 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   result->median_depth = median_depth_;
   ++frames_since_keyframe_;
   KeyframeFigures f;
-  f.keyframes = map_->keyframe_count();
   f.frames_since_last = frames_since_keyframe_;
   f.features = result->measurements;
   f.last_keyframe_features = last_keyframe_features_;
-  f.nearest_distance = 1e9;
   f.uncovered = keyframe_mask_.uncovered(frame->mask);
-  const Vec3 position = -(frame->T_cam_world.R.transpose() * frame->T_cam_world.t);
-  for (int k = 0; k < kMaxKeyframes; ++k) {
-    const Keyframe& kf = map_->keyframe(k);
-    if (kf.id == 0) continue;
-    const double d = (kf.position() - position).norm() / median_depth_;
-    const double c = kf.T_kf_world.R.row(2).dot(frame->T_cam_world.R.row(2));
-    const double angle = std::acos(std::clamp(c, -1.0, 1.0));
-    // Distance in the sense of the selector: a keyframe that looks elsewhere is no near one.
-    if (angle < options_.keyframe.min_angle_rad && d < f.nearest_distance) {
-      f.nearest_distance = d;
-      f.nearest_angle_rad = angle;
-    }
-    if (kf.id == last_keyframe_id_) {
-      f.last_distance = d;
-      f.last_angle_rad = angle;
-    }
-  }
+  compare_with_keyframes(options_.keyframe, *map_, frame->T_cam_world, median_depth_, last_keyframe_id_, &f);
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
   if (!result->tracked && map_feature_count_ < options_.weak_beside) why = KeyframeReason::kNone;
@@ -277,6 +263,9 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   // What looks like a keyframe; between movers, who spoil that, in turns with what looks like points of the map. First
   // a rough pose, then all of the map around it.
   const int attempt = relocalise_attempt_++;
+  // What an attempt before this one has seen is not told as this one's.
+  refusal_ = {};
+  result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
   const bool guessed = !frame->crowded    ? align_with_keyframe(attempt, frame, result)
                        : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
                                           : align_with_keyframe(attempt / 2, frame, result);
@@ -284,7 +273,6 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
       measure(in, false, frame, least_measurements(*frame), result) &&
       (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
     return true;
-  if (result->matches == 0) result->measurements = 0;
   return false;
 }
 
@@ -369,6 +357,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   evidence.t_capture_ns = in.t_capture_ns;
   if (same) {
     evidence.kind = FrameEvidence::Kind::kSamePicture;
+    result.repeated = true;
     retire(&frame);
   } else if (health_.state() == State::kInitialising || health_.state() == State::kLost) {
     evidence.kind = initialise(in, frame, &result) ? FrameEvidence::Kind::kFirstMap : FrameEvidence::Kind::kNoMap;

@@ -21,6 +21,7 @@
 #include "vo_core/pose_optimizer.h"
 #include "vo_core/relocaliser.h"
 #include "vo_core/reprojector.h"
+#include "vo_core/slot_releases.h"
 #include "vo_core/sparse_image_align.h"
 
 namespace godwit::vo {
@@ -46,6 +47,7 @@ struct FrameInput {
 
 struct FrameResult {
   State state = State::kInitialising;
+  bool repeated = false;     ///< the picture is the one before, bit for bit: nothing was measured
   bool tracked = false;      ///< at least min_measurements image measurements updated the pose
   bool is_keyframe = false;  ///< also of a frame between movers that does not count as tracked
   KeyframeReason keyframe_reason = KeyframeReason::kNone;  ///< why it should become one, even if it could not
@@ -184,7 +186,6 @@ class Tracker {
   void free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const;
   double scene_depth(const SE3& T_cam_world, double* min_depth);
   void retire(Frame* frame);
-  void release(int slot, int count);
   rt::TimeNs now() const { return options_.clock ? options_.clock() : 0; }
 
   const CameraModel camera_;
@@ -233,8 +234,7 @@ class Tracker {
   CoarseMask keyframe_mask_;  ///< dynamic pixels of the last keyframe
   double median_depth_ = 1.0, min_depth_ = 0.3;
 
-  std::array<SlotRelease, 2 * kMaxKeyframes + 8> releases_;
-  int release_count_ = 0;
+  SlotReleases releases_;
 };
 
 }  // namespace godwit::vo

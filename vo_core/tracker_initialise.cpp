@@ -86,6 +86,13 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   const int n = static_cast<int>(std::min<std::size_t>(points.size(), kMaxFrameFeatures - 20));
   first_.T_cam_world = SE3();
   current.T_cam_world = initializer_.T_cur_ref();
+  // How fast the camera was matters to a rolling shutter only, and by that the frames' interval is known.
+  const double interval_s =
+      options_.initializer.readout > 0.0 ? options_.shutter.readout_s / options_.initializer.readout : 0.0;
+  if (interval_s > 0.0) {
+    first_.velocity = initializer_.velocity_ref() / interval_s;
+    current.velocity = initializer_.velocity_cur() / interval_s;
+  }
   median_depth_ = 1.0;
   feature_count_ = map_feature_count_ = n;
   for (int i = 0; i < n; ++i) {
@@ -93,7 +100,8 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
     FrameFeature& f = features_[i];
     f = {};
-    f.px = f.px_global = p.px_ref;
+    f.px = p.px_ref;
+    f.px_global = p.px_ref_global;
     f.level = p.level;
     f.point = {static_cast<std::uint16_t>(i), map_->point(i).generation};
     map_->activate_point(f.point, p.p_ref);
@@ -101,9 +109,11 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   median_depth_ = scene_depth(first_.T_cam_world, &min_depth_);
   const int place1 = insert_keyframe(first_, 1);
   send(MessageKind::kKeyframe, &first_, 1, place1);
-  for (int i = 0; i < n; ++i)
-    features_[i].px = features_[i].px_global =
-        points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)].px_cur;
+  for (int i = 0; i < n; ++i) {
+    const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
+    features_[i].px = p.px_cur;
+    features_[i].px_global = p.px_cur_global;
+  }
   median_depth_ = scene_depth(current.T_cam_world, &min_depth_);
   const int place2 = insert_keyframe(current, 2);
   send(MessageKind::kKeyframe, &current, 2, place2);
@@ -115,7 +125,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   retire(&first_);
   last_ = current;
   last_.mask = {};
-  have_velocity_ = false;
+  have_velocity_ = interval_s > 0.0;
   ++map_id_;
   result->tracked = n >= options_.health.min_measurements;
   result->is_keyframe = true;

@@ -1,18 +1,13 @@
 // The tracker's side of the map: what it takes from the mapper, what it sends, and which frame slots it holds.
 #include <algorithm>
+#include <array>
 
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
 
-void Tracker::release(int slot, int count) {
-  if (slot >= 0 && release_count_ < static_cast<int>(releases_.size())) releases_[release_count_++] = {slot, count};
-}
-
 bool Tracker::take_release(SlotRelease* out) {
-  if (release_count_ == 0) return false;
-  *out = releases_[--release_count_];
-  return true;
+  return releases_.take(out);
 }
 
 void Tracker::retire(Frame* frame) {
@@ -24,7 +19,7 @@ void Tracker::retire(Frame* frame) {
     return false;
   }();
   const int count = (keyframe ? 0 : 1) + (frame->holds_mapper_reference ? 1 : 0);
-  if (count > 0) release(frame->slot, count);
+  if (count > 0) releases_.add(frame->slot, count);
   *frame = Frame{};
 }
 
@@ -32,7 +27,7 @@ void Tracker::begin_map() {
   retire(&first_);
   retire(&last_);
   for (int k = 0; k < kMaxKeyframes; ++k)
-    if (map_->keyframe(k).id != 0) release(map_->keyframe(k).slot, 1);
+    if (map_->keyframe(k).id != 0) releases_.add(map_->keyframe(k).slot, 1);
   map_->clear();
   landmarks_->forget();
   certainty_.clear();
@@ -78,17 +73,29 @@ void Tracker::apply(const MapDelta& d) {
     const int place = map_->find_keyframe(d.new_features[i].keyframe_id);
     if (place >= 0) map_->append_feature(place, d.new_features[i].feature);
   }
-  // The last frame moves with the keyframe it hangs on.
+  // The last frame moves with the keyframe it hangs on, and so do keyframes that the mapper did not have yet.
   const int anchor = map_->find_keyframe(last_keyframe_id_);
   const SE3 T_last_anchor = anchor >= 0 ? last_.T_cam_world * map_->keyframe(anchor).T_kf_world.inverse() : SE3();
-  bool anchor_moved = false;
+  std::array<SE3, kMaxKeyframes> T_next_previous;
+  std::array<int, kMaxKeyframes> next_place, previous_place;
+  int unknown = 0;
+  for (std::uint32_t id = d.newest_keyframe_id + 1; id <= last_keyframe_id_ && unknown < kMaxKeyframes; ++id) {
+    const int next = map_->find_keyframe(id), previous = map_->find_keyframe(id - 1);
+    if (next < 0 || previous < 0) continue;
+    next_place[unknown] = next;
+    previous_place[unknown] = previous;
+    T_next_previous[unknown++] = map_->keyframe(next).T_kf_world * map_->keyframe(previous).T_kf_world.inverse();
+  }
   for (int i = 0; i < d.moved_keyframe_count; ++i) {
     const int place = map_->find_keyframe(d.moved_keyframes[i].keyframe_id);
     if (place < 0) continue;
     map_->keyframe(place).T_kf_world = d.moved_keyframes[i].T_kf_world;
-    anchor_moved |= place == anchor;
   }
-  if (anchor_moved) last_.T_cam_world = T_last_anchor * map_->keyframe(anchor).T_kf_world;
+  if (d.moved_keyframe_count > 0) {
+    for (int i = 0; i < unknown; ++i)
+      map_->keyframe(next_place[i]).T_kf_world = T_next_previous[i] * map_->keyframe(previous_place[i]).T_kf_world;
+    if (anchor >= 0) last_.T_cam_world = T_last_anchor * map_->keyframe(anchor).T_kf_world;
+  }
   if (d.shares.centre != 0) certainty_.take(d.shares);
   for (int i = 0; i < d.moved_point_count; ++i)
     if (MapPoint* p = map_->find(d.moved_points[i].point)) p->p_world = d.moved_points[i].p_world;
@@ -103,7 +110,7 @@ void Tracker::apply(const MapDelta& d) {
     const int slot = map_->keyframe(place).slot;
     map_->remove_keyframe(place);
     // The last frame may be this very keyframe: it then keeps the reference until it is retired.
-    if (slot != last_.slot) release(slot, 1);
+    if (slot != last_.slot) releases_.add(slot, 1);
   }
 }
 
@@ -156,7 +163,11 @@ bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, in
   m->slot = frame->slot;
   m->pyramid = frame->pyramid;
   m->t_capture_ns = frame->t_capture_ns;
-  m->T_cam_world = frame->T_cam_world;
+  // The newest keyframe that has been sent before this message. The mapper never forgets the newest ones.
+  std::uint32_t anchor_id = kind == MessageKind::kKeyframe ? keyframe_id - 1 : last_keyframe_id_;
+  const int anchor = map_->find_keyframe(anchor_id);
+  m->anchor_id = anchor >= 0 ? anchor_id : 0;
+  m->T_cam_anchor = anchor >= 0 ? frame->T_cam_world * map_->keyframe(anchor).T_kf_world.inverse() : frame->T_cam_world;
   m->velocity = frame->velocity;
   m->tracked_features = feature_count_;
   m->median_depth = median_depth_;

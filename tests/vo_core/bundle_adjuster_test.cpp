@@ -21,7 +21,8 @@ struct World {
   std::vector<Vec3> points;
   std::vector<SE3> poses;
 
-  explicit World(double noise_px, unsigned seed = 5) {
+  /// Of ten points so many are edgelets, measured along one direction only; across it they may be off by any amount.
+  explicit World(double noise_px, int edgelets_of_ten = 0, unsigned seed = 5) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> xy(-1.0, 1.0), z(1.5, 4.0);
     std::normal_distribution<double> noise(0.0, noise_px);
@@ -44,6 +45,12 @@ struct World {
         f.px = f.px_global = (px + Vec2(noise(random), noise(random))).cast<float>();
         f.bearing = camera.unproject(px);
         f.point = h;
+        if (static_cast<int>(i % 10) < edgelets_of_ten) {
+          f.type = FeatureType::kEdgelet;
+          // The world's edge is one and the same; here the views hardly roll, and neither does its normal.
+          f.gradient = i % 2 == 0 ? Vec2f(1.0f, 0.0f) : Vec2f(0.8f, 0.6f);
+          f.px_global += 3.0f * static_cast<float>(k) * Vec2f(-f.gradient.y(), f.gradient.x());
+        }
         map.append_feature(k, f);
       }
     }
@@ -89,6 +96,41 @@ TEST(BundleAdjuster, BringsADisturbedMapBack) {
   EXPECT_EQ(w.map.keyframe(0).T_kf_world.t, w.poses[0].t) << "the first keyframe holds the gauge";
 }
 
+TEST(BundleAdjuster, EdgeletsCountAcrossTheirEdgeAlone) {
+  World w(0.2, 5);
+  w.disturb();
+  const double before = w.pose_error();
+  BundleAdjusterOptions options;
+  options.max_iterations = 12;
+  BundleAdjuster bundle(w.camera, options);
+  const BundleReport r = bundle.run(&w.map, 5);
+  EXPECT_LT(r.rms_after_px, 0.35) << "what they are off along the edge is no error";
+  EXPECT_LT(w.pose_error(), 0.25 * before);
+  EXPECT_EQ(r.outliers, 0);
+}
+
+// With derivatives as they should be, Gauss-Newton on measurements without noise at least squares the error in each
+// step; with wrong ones it would shrink by a factor.
+TEST(BundleAdjuster, ConvergesAsOnlyTrueDerivativesLetIt) {
+  for (const int edgelets : {0, 5}) {
+    World w(0.0, edgelets);
+    std::mt19937 random(8);
+    std::normal_distribution<double> r(0.0, 0.002);
+    for (int k = 1; k < 6; ++k)
+      w.map.keyframe(k).T_kf_world =
+          SE3::exp((Vec6() << r(random), r(random), r(random), r(random), r(random), r(random)).finished()) *
+          w.map.keyframe(k).T_kf_world;
+    BundleAdjusterOptions options;
+    options.max_iterations = 1;
+    BundleAdjuster bundle(w.camera, options);
+    bundle.run(&w.map, 5);
+    const double once = bundle.run(&w.map, 5).rms_before_px;
+    const BundleReport last = bundle.run(&w.map, 5);
+    EXPECT_LT(once, 0.1) << edgelets;
+    EXPECT_LT(last.rms_before_px, 0.02 * once + 5e-4) << edgelets << ", after one step " << once;
+  }
+}
+
 TEST(BundleAdjuster, ReportsWrongObservations) {
   World w(0.2);
   for (int i = 0; i < 8; ++i) w.map.keyframe(3).features[static_cast<std::size_t>(5 * i)].px_global += Vec2f(12, -9);
@@ -111,6 +153,29 @@ TEST(BundleAdjuster, AnEmptyMapIsLeftAlone) {
   EXPECT_EQ(bundle.moved_point_count(), 0);
 }
 
+TEST(StructureOptimizer, EdgeletsCountAcrossTheirEdgeAlone) {
+  World w(0.0, 10);
+  const MapPoint& p = w.map.point(7);
+  Vec3 guess = p.p_world + Vec3(0.05, -0.04, 0.3);
+  EXPECT_LT(optimize_structure(w.camera, w.map, p, 10, &guess), 1e-3);
+}
+
+// One step less and one step more: the error is squared by each.
+TEST(StructureOptimizer, ConvergesAsOnlyTrueDerivativesLetIt) {
+  World w(0.0);
+  for (int i = 0; i < 150; i += 10) {
+    const MapPoint& p = w.map.point(i);
+    if (p.observation_count < 4) continue;
+    Vec3 one = w.points[static_cast<std::size_t>(i)] * 1.03, two = one, three = one;
+    const double first = optimize_structure(w.camera, w.map, p, 1, &one);
+    const double second = optimize_structure(w.camera, w.map, p, 2, &two);
+    const double third = optimize_structure(w.camera, w.map, p, 3, &three);
+    EXPECT_LT(first, 0.5) << i;
+    EXPECT_LT(second, 0.05 * first + 1e-4) << i;
+    EXPECT_LT(third, 0.05 * second + 1e-4) << i;
+  }
+}
+
 TEST(StructureOptimizer, FindsTheMiddleOfItsObservations) {
   World w(0.0);
   const MapPoint& p = w.map.point(7);
@@ -125,7 +190,7 @@ TEST(BundleAdjuster, TellsHowCertainTheCentreIs) {
   double squared = 0.0;
   int freedom = 0;
   for (unsigned seed = 1; seed <= 40; ++seed) {
-    auto w = std::make_unique<World>(0.3, seed);
+    auto w = std::make_unique<World>(0.3, 0, seed);
     BundleAdjusterOptions options;
     options.max_iterations = 6;
     BundleAdjuster bundle(w->camera, options);

@@ -348,7 +348,8 @@ Made points_made(double hidden, int agreeing_matches) {
       m->slot = in.slot;
       m->pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
       m->t_capture_ns = in.t_capture_ns;
-      m->T_cam_world = pose_of(shot);
+      m->anchor_id = 0;
+      m->T_cam_anchor = pose_of(shot);
       m->tracked_features = 110;  // not few: it is the crowd that makes hungry
       m->median_depth = 3.5;
       m->min_depth = 1.0;

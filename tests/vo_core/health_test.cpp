@@ -116,10 +116,20 @@ TEST_F(HealthTest, ATimeThatGoesBackIsNoTimePassed) {
   EXPECT_EQ(health_.state(), State::kRelocalising);
 }
 
-TEST_F(HealthTest, AFrozenPictureIsNoPose) {
+TEST_F(HealthTest, ARepeatedPictureLeavesTheStateAloneUntilItLasts) {
   begin();
-  EXPECT_EQ(step(Kind::kSamePicture), State::kRelocalising);
+  EXPECT_EQ(step(Kind::kSamePicture), State::kTracking);
+  EXPECT_STREQ(health_.reason().text, "the picture is the one before, bit for bit");
   EXPECT_EQ(step(Kind::kPose, 100), State::kTracking);
+  rt::TimeNs frozen = 0;
+  while (step(Kind::kSamePicture) == State::kTracking && frozen < rt::kNsPerSecond) frozen += kFrame;
+  EXPECT_EQ(health_.state(), State::kRelocalising);
+  EXPECT_GT(frozen, options_.frozen_ns - kFrame);
+  EXPECT_LE(frozen, options_.frozen_ns);
+  EXPECT_EQ(step(Kind::kPose, 100), State::kTracking);
+  // Nor does it make a pose of none.
+  EXPECT_EQ(step(Kind::kNoPose), State::kRelocalising);
+  EXPECT_EQ(step(Kind::kSamePicture), State::kRelocalising);
 }
 
 }  // namespace

@@ -107,9 +107,10 @@ TEST(KeyframeSelector, EachReasonHasItsLimit) {
   EXPECT_EQ(select_keyframe(o, f), KeyframeReason::kNone);
   f.nearest_distance = 0.2;
   EXPECT_EQ(select_keyframe(o, f), KeyframeReason::kMoved);
-  f.nearest_distance = 0.01;
+  f.nearest_distance = KeyframeFigures::kNone;  // none looks the same way
   f.nearest_angle_rad = 0.5;
   EXPECT_EQ(select_keyframe(o, f), KeyframeReason::kTurned);
+  f.nearest_distance = 0.01;
   f.nearest_angle_rad = 0.0;
   f.features = 60;
   EXPECT_EQ(select_keyframe(o, f), KeyframeReason::kNone) << "a camera that stands still gains nothing by a keyframe";

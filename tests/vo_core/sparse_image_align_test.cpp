@@ -91,6 +91,33 @@ TEST(SparseImageAlign, FewStepsDoAtAnyGain) {
   }
 }
 
+// A camera that yaws at 1 rad/s, read over 0.7 of the time between its pictures: rows see different parts of the turn.
+TEST(SparseImageAlign, AYawBehindARollingShutterIsNoRoll) {
+  Fixture f;
+  constexpr double kReadout = 0.7;
+  const Vec6 motion = (Vec6() << 0.01, 0.0, 0.01, 0.0, 0.033, 0.0).finished();  // between the two pictures
+  const auto at = [&](double time) { return SE3::exp(time * motion); };
+  const auto row_time = [&](double row) { return (row / 240.0 - 0.5) * kReadout; };
+  const View ref(f.scene.render_rows(f.camera, [&](int row) { return at(row_time(row)); }));
+  const View cur(f.scene.render_rows(f.camera, [&](int row) { return at(1.0 + row_time(row)); }));
+  // Patches lie where the shutter saw them; the points are those of the capture time.
+  std::vector<AlignPoint> points;
+  for (const AlignPoint& p : f.points) {
+    const Vec2 px = p.px.cast<double>();
+    const SE3 T = at(row_time(px.y()));
+    const Vec3 ray = f.camera.unproject(px);
+    const double depth = f.scene.depth(f.camera, T, px);
+    if (depth > 0) points.push_back({p.px, T.inverse() * (ray / ray.z() * depth)});
+  }
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, points, SE3(), {}, {kReadout, 0.5});
+  const Vec6 e = (r.T_cur_ref * at(1.0).inverse()).log();
+  EXPECT_LT(e.head<3>().norm(), 0.004);
+  EXPECT_LT(e.tail<3>().norm(), 0.002);
+  const SparseAlignResult global = align.run(ref.pyramid, cur.pyramid, points, SE3(), {});
+  EXPECT_GT((global.T_cur_ref * at(1.0).inverse()).log().tail<3>().norm(), 0.004) << "the shutter is to be seen";
+}
+
 TEST(SparseImageAlign, ARotationPriorHoldsTheRotation) {
   Fixture f;
   const View ref(f.scene.render(f.camera, f.T_ref));
