@@ -331,7 +331,7 @@ TEST(Odometry, AMaskOverEverythingLeavesTheProvedPointsAndSaysSo) {
     EXPECT_STREQ(r.reason, "tracking, mostly by proved points inside the mask");
     EXPECT_EQ(r.shaded, r.matches);
     EXPECT_LT((r.T_world_cam.t - free.frames[i].T_world_cam.t).norm(), 0.02);
-    EXPECT_GT(r.covariance.trace(), free.frames[i].covariance.trace()) << "and it is less sure";
+    EXPECT_GT(r.own_covariance.trace(), free.frames[i].own_covariance.trace()) << i << ": and it is less sure";
   }
   EXPECT_GE(tracked, 10);
   EXPECT_GT(free.points.back(), free.points[kMasked + 2]) << "of free pictures something does";
