@@ -59,6 +59,8 @@ void* Thread::run(void* self) {
   while (!thread->planned_.wait_for(kNsPerSecond)) {
   }
   thread->body_();
+  // Now, because a C library as old as 2.31 gives the stack's pages back to the kernel when its thread ends.
+  thread->stack_at_end_ = thread->stack_used_now();
   return nullptr;
 }
 
@@ -72,6 +74,7 @@ Result<void> Thread::start(const char* name, const ThreadPlan& plan, std::functi
     mprotect(stack_, kGuardBytes, PROT_NONE);
   }
   std::memset(stack_ + kGuardBytes, kUntouched, kThreadStackBytes);
+  stack_at_end_ = 0;
   body_ = std::move(body);
   pthread_attr_t attributes;
   pthread_attr_init(&attributes);
@@ -92,6 +95,10 @@ void Thread::join() {
 }
 
 std::size_t Thread::stack_used() const {
+  return running_ ? stack_used_now() : stack_at_end_;
+}
+
+std::size_t Thread::stack_used_now() const {
   if (stack_ == nullptr) return 0;
   std::size_t untouched = 0;
   while (untouched < kThreadStackBytes && stack_[kGuardBytes + untouched] == kUntouched) ++untouched;

@@ -56,11 +56,13 @@ class Thread {
 
  private:
   static void* run(void* self);
+  std::size_t stack_used_now() const;
 
   std::function<void()> body_;
   std::string warning_;
   WakeUp planned_;
   std::uint8_t* stack_ = nullptr;  ///< guard page first
+  std::size_t stack_at_end_ = 0;   ///< the thread's own until join(), which orders it
   pthread_t id_{};
   bool running_ = false;
 };
