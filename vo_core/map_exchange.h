@@ -1,4 +1,4 @@
-// What tracker and mapper tell each other (DESIGN: epoch/delta protocol). Plain bounded data, passed by ring.
+// What tracker and mapper tell each other (docs/architecture.md). Plain bounded data, passed by ring.
 //
 // The tracker alone writes its map. It sends every tracked frame and every keyframe; the mapper keeps a replica, runs
 // seeds and bundle adjustment on it and answers with deltas. Both sides append features to a keyframe in the same

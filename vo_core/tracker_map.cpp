@@ -57,7 +57,7 @@ void Tracker::apply_deltas(FrameResult* result) {
       result->turned_by += so3_log(after.R * before.R.transpose());
     }
     channel_->deltas.pop();
-    // One delta a frame: the bound of DESIGN.md. In a sequential run all that are due.
+    // One delta a frame: the bound of docs/architecture.md. In a sequential run all that are due.
     if (options_.delta_delay_frames == 0) return;
   }
 }

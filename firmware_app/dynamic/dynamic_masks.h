@@ -23,7 +23,7 @@ struct DynamicMasksOptions {
   std::string model;        ///< ONNX file with its metadata beside it
   std::string small_model;  ///< for the smaller input of the ladder; empty: the same
   detector::DetectorOptions detector;
-  /// Initialisation waits so long for the first mask (DESIGN.md): until then everything counts as dynamic.
+  /// Initialisation waits so long for the first mask (docs/architecture.md): until then everything counts as dynamic.
   rt::TimeNs first_mask_ns = 200 * rt::kNsPerMs;
 };
 
