@@ -1,5 +1,5 @@
-// What the odometry says of itself: INITIALISING -> TRACKING <-> COASTING -> RELOCALISING -> LOST (docs/architecture.md).
-// Pure logic: evidence of one frame in, state and its measured reason out. Time is an argument.
+// What the odometry says of itself: INITIALISING -> TRACKING <-> COASTING -> RELOCALISING -> LOST
+// (docs/architecture.md). Pure logic: evidence of one frame in, state and its measured reason out. Time is an argument.
 #pragma once
 
 #include <cstdint>
@@ -23,7 +23,7 @@ struct Reason {
 };
 
 struct HealthOptions {
-  int min_measurements = 30;                   ///< image measurements without which a frame does not count (docs/architecture.md)
+  int min_measurements = 30;  ///< image measurements without which a frame does not count (docs/architecture.md)
   rt::TimeNs coast_ns = rt::kNsPerSecond / 2;  ///< longest flight on inertial measurements alone
   /// A picture may be repeated for so long, as recorders and drivers do, before the camera is taken for a frozen one:
   /// until then the next new picture is followed as if nothing had been (TrackerOptions::direct_gap_ns).

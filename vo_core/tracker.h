@@ -131,8 +131,8 @@ class Tracker {
   FrameResult track(const FrameInput& frame);
 
   /// The mask of an earlier frame, come late: if the frame is a keyframe, the map loses what that keyframe took from
-  /// inside the mask (docs/architecture.md). Between two frames; no allocation, bounded. False: there is no room for the
-  /// message now, try again after the next frame.
+  /// inside the mask (docs/architecture.md). Between two frames; no allocation, bounded. False: there is no room for
+  /// the message now, try again after the next frame.
   bool late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask);
 
   /// References to frame slots that the tracker no longer needs. False when there are none.
