@@ -12,7 +12,7 @@
 #include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/feeder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
-#include "firmware_app/pipeline/threaded_pipeline.h"
+#include "firmware_app/pipeline/stage.h"
 #include "hal/camera/replay/replay_camera.h"
 
 namespace {

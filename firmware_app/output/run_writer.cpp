@@ -6,8 +6,6 @@
 #include <iterator>
 #include <system_error>
 
-#include "firmware_app/pipeline/threaded_pipeline.h"
-
 namespace godwit::app {
 namespace {
 

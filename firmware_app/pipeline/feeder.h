@@ -9,6 +9,9 @@
 
 namespace godwit::app {
 
+/// How long a camera may take to answer: the loops above it look at their stop flag that often.
+constexpr rt::TimeNs kCameraWaitNs = 100 * rt::kNsPerMs;
+
 /// The owner's side of the frame pool. One thread.
 class Feeder {
  public:

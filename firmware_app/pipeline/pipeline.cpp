@@ -2,6 +2,8 @@
 
 #include <cassert>
 
+#include "firmware_app/pipeline/detection_orders.h"
+#include "firmware_app/pipeline/detector_thread.h"
 #include "firmware_app/pipeline/feeder.h"
 #include "firmware_app/pipeline/state_watch.h"
 #include "firmware_app/pipeline/threaded_pipeline.h"
@@ -36,7 +38,10 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
   ImuFeeder imu(options.imu, false);
   StateWatch state;
   PipelineCounters counters;
-  int since_detection = options.scheduler.period_frames;
+  // By count, not by time: two runs must be equal.
+  Scheduler scheduler(counting_frames(options.scheduler));
+  DetectionOrders orders(false, options.scheduler.mask_age_ns);
+  rt::TimeNs tracked_count = 0;
   // Relaxed: the flag orders nothing, it only ends the loop.
   while (!stop.load(std::memory_order_relaxed)) {
     rt::FrameHandle handle;
@@ -58,12 +63,13 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
         record.stage_ns[kMapStage] = record.mapper_cpu_ns;
       }
       if (options.detector != nullptr) {
-        // By count, not by time: two runs must be equal.
-        if (++since_detection >= options.scheduler.period_frames || record.is_keyframe) {
-          options.detector->detect({handle, options.scheduler.input_px, record.is_keyframe});
-          since_detection = 0;
+        rt::FrameReturn back = pool->reader(kDetectorReader);
+        if (const auto job = orders.next(handle, record.is_keyframe, tracked_count, &scheduler, &back)) {
+          const bool found = detect_guarded(options.detector, *job);
+          back.give_back(job->frame.slot);
+          scheduler.detection_done(tracked_count, job->frame.meta.t_capture_ns, !found);
         }
-        pool->reader(kDetectorReader).give_back(handle.slot);
+        ++tracked_count;
       }
     }
     count(record, &counters);
@@ -77,20 +83,6 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
 }
 
 }  // namespace
-
-void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* record) {
-  *record = {};
-  record->sequence = handle.meta.sequence;
-  record->t_source_ns = handle.meta.t_source_ns;
-  record->t_capture_ns = handle.meta.t_capture_ns;
-  record->t_delivered_ns = handle.meta.t_delivered_ns;
-  const rt::TimeNs wall = rt::monotonic_now_ns();
-  const rt::TimeNs cpu = rt::thread_cpu_now_ns();
-  stage->track(handle, record);
-  record->thread_cpu_ns = rt::thread_cpu_now_ns() - cpu;
-  record->t_done_ns = rt::monotonic_now_ns();
-  record->wall_ns = record->t_done_ns - wall;
-}
 
 rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                           const PipelineOptions& options, FrameSink* sink,

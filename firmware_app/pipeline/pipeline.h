@@ -84,7 +84,7 @@ struct PipelineOptions {
   rt::Heartbeats* heartbeats = nullptr;            ///< may be null; threads at real pace beat in it
   const std::atomic<bool>* also_stop = nullptr;    ///< may be null; a second flag that ends the run
   /// Called in the caller's thread where a thread does not end kEndPatienceNs after it was told to; must not return.
-  /// Null: it is waited for.
+  /// Null: it is waited for, and so is a replay as fast as it goes that has come to its end by itself.
   std::function<void(const char* thread)> abandon;
 };
 
@@ -109,6 +109,9 @@ struct PipelineCounters {
   std::vector<ThreadReport> threads;
   std::optional<ImuCounters> imu;  ///< if there was one
 };
+
+/// Adds one finished frame to the counters.
+void count(const FrameRecord& record, PipelineCounters* counters);
 
 /// Runs until the camera is at its end, *stop becomes true or the sink fails. The pool has kFrameReaders readers, one
 /// more with a detector.

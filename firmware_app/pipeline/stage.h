@@ -39,4 +39,7 @@ class FrameStage {
   virtual bool map_step() = 0;
 };
 
+/// Tracks one frame and fills in the record's times. Tracker thread, or the only one; no allocation, no lock.
+void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* record);
+
 }  // namespace godwit::app

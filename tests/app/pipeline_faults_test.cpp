@@ -6,6 +6,7 @@
 #include <new>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "firmware_app/pipeline/pipeline.h"
@@ -33,13 +34,15 @@ class Trap {
 class Camera final : public hal::Camera {
  public:
   Trap trap;
-  rt::TimeNs age_ns = 0;  ///< of a picture when it is delivered
+  rt::TimeNs age_ns = 0;                    ///< of a picture when it is delivered
+  std::uint32_t total = std::uint32_t(-1);  ///< pictures until it ends
   int width() const override { return kWidth; }
   int height() const override { return kHeight; }
   int channels() const override { return 1; }
   hal::CameraStatus next(const rt::MutableImageView&, std::uint8_t*, rt::TimeNs, hal::CapturedFrame* frame,
                          std::string*) override {
     trap.pass();
+    if (next_ == total) return hal::CameraStatus::kEnd;
     nap(5 * rt::kNsPerMs);
     frame->sequence = next_++;
     frame->t_source_ns = frame->t_capture_ns = rt::monotonic_now_ns() - age_ns;
@@ -54,6 +57,7 @@ class Stage final : public FrameStage {
  public:
   explicit Stage(rt::FramePool* pool) : return_(pool->reader(kTrackerReader)) {}
   Trap tracker, mapper;
+  std::atomic<rt::TimeNs> map_ns{0};  ///< how long the mapper works on its next message
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     tracker.pass();
     record->state = "TRACKING";
@@ -63,6 +67,7 @@ class Stage final : public FrameStage {
   int mapper_backlog() const override { return 0; }
   bool map_step() override {
     mapper.pass();
+    nap(map_ns.exchange(0));
     return false;
   }
 
@@ -158,6 +163,32 @@ TEST_F(PipelineFaults, ACameraThatHangsIsNamedAndLeftBehind) {
   hangs(&camera.trap, "gw-camera");
 }
 
+// As fast as it goes nobody is late: a slow mapper or tracker is waited for, until somebody wants the end.
+TEST_F(PipelineFaults, AReplayWithoutAPaceWaitsForItsMapper) {
+  options.newest_frame = false;
+  camera.total = 3;
+  stage.map_ns.store(kEndPatienceNs + 2 * rt::kNsPerSecond);
+  const auto counters = go();
+  ASSERT_TRUE(counters.ok());
+  EXPECT_EQ(counters.value().processed, 3u);
+  EXPECT_TRUE(abandoned.empty()) << abandoned[0];
+}
+
+TEST_F(PipelineFaults, AReplayWithoutAPaceThatIsToEndWaitsNoLongerThanAFlight) {
+  options.newest_frame = false;
+  camera.total = 3;
+  stage.mapper.set.store(true);
+  std::thread user([this] {
+    nap(rt::kNsPerSecond);
+    stop.store(true);
+  });
+  const rt::TimeNs begin = rt::monotonic_now_ns();
+  EXPECT_TRUE(go().ok());
+  user.join();
+  EXPECT_EQ(abandoned, std::vector<std::string>{"gw-mapper"});
+  EXPECT_GE(rt::monotonic_now_ns() - begin, kEndPatienceNs);
+}
+
 TEST_F(PipelineFaults, ADetectorThatHangsKeepsNoEndAway) {
   detector.trap.set.store(true);
   sink.on_turn = [&] { stop.store(stop.load() || detector.asked.load() > 0); };
@@ -174,6 +205,16 @@ TEST_F(PipelineFaults, ADetectorOutOfMemoryHasNoMaskAndTheFlightGoesOn) {
   EXPECT_GE(counters.value().scheduler.detections_failed, 2u);
   EXPECT_NE(std::find(sink.said.begin(), sink.said.end(), "detections fail "), sink.said.end());
   EXPECT_TRUE(abandoned.empty());
+}
+
+TEST_F(PipelineFaults, ADetectorOutOfMemoryEndsNoSequentialRunEither) {
+  detector.out_of_memory.store(true);
+  options.sequential = true;
+  camera.total = 30;
+  const auto counters = go();
+  ASSERT_TRUE(counters.ok());
+  EXPECT_EQ(counters.value().processed, 30u);
+  EXPECT_GT(detector.asked.load(), 2);
 }
 
 TEST_F(PipelineFaults, AnEventThatCannotBeToldEndsNothing) {

@@ -1,0 +1,25 @@
+// The inertial sensor's thread at real pace: each sample to the tracker.
+#pragma once
+
+#include "firmware_app/pipeline/channels.h"
+#include "firmware_app/pipeline/imu_feeder.h"
+#include "hal/rt/heartbeat.h"
+
+namespace godwit::app {
+
+class ImuThread {
+ public:
+  /// Both outlive it. imu: null where there is none; run() is not called then.
+  ImuThread(hal::Imu* imu, Channels* channels) : feeder_(imu, true), channels_(channels) {}
+
+  /// The thread's body, under real-time rules: until the sensor ends or the camera's thread has.
+  void run(rt::Pulse* pulse);
+  /// After the join.
+  const ImuCounters& counters() const { return feeder_.counters; }
+
+ private:
+  ImuFeeder feeder_;
+  Channels* const channels_;
+};
+
+}  // namespace godwit::app
