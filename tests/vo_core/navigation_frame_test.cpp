@@ -1,0 +1,331 @@
+// One frame through losses and new maps: place, heading and speed go on, what is told of them holds, and what cannot be
+// tied together is told as a new frame.
+#include "vo_core/navigation_frame.h"
+
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <gtest/gtest.h>
+#include <limits>
+#include <string>
+
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
+#include "tests/vo_core/inertial_flight.h"
+
+namespace godwit::vo {
+namespace {
+
+using test::Flight;
+using Source = NavigationPose::Source;
+
+constexpr double kPlaceNoise = 3e-3, kTurnNoise = 2e-3, kSpeedNoise = 0.02;
+constexpr double kGyroBiasNoise = 1e-3, kAccelBiasNoise = 0.02;
+
+/// A flight seen 20 times and felt 200 times a second, through frames ("children") that lie anywhere.
+class Flown {
+ public:
+  explicit Flown(unsigned seed, const NavigationOptions& options = {})
+      : flight_(1.0, seed), navigation_(flight_.mounting_.t_body_cam_m, options) {
+    bias_ = flight_.bias_;
+    bias_.gyro += kGyroBiasNoise * flight_.random();
+    bias_.accel += kAccelBiasNoise * flight_.random();
+  }
+  /// Another child frame: where and how it lies is drawn.
+  void new_child() {
+    ++child_id_;
+    child_at_ = 20 * flight_.random();
+    child_turn_ = so3_exp(Vec3(0, 0, 2 * flight_.random().x()));
+  }
+  Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
+  Mat3 attitude(double t) const { return flight_.R(t) * flight_.mounting_.R_body_cam; }
+  Vec3 speed(double t) const { return (camera(t + 1e-4) - camera(t - 1e-4)) / 2e-4; }
+
+  MetricMoment moment(double t) {
+    MetricMoment m;
+    m.child_id = child_id_;
+    const Mat3 R = child_turn_.transpose();
+    m.T_child_cam = {R * so3_exp(kTurnNoise * flight_.random()) * attitude(t),
+                     R * (camera(t) - child_at_) + kPlaceNoise * flight_.random()};
+    m.velocity_m_s = R * speed(t) + kSpeedNoise * flight_.random();
+    m.covariance.diagonal() << Vec3::Constant(kPlaceNoise * kPlaceNoise), Vec3::Constant(kTurnNoise * kTurnNoise);
+    m.velocity_covariance = kSpeedNoise * kSpeedNoise * Mat3::Identity();
+    m.bias = bias_;
+    m.gyro_bias_sigma = kGyroBiasNoise;
+    m.accel_bias_sigma = kAccelBiasNoise;
+    m.R_body_cam = flight_.mounting_.R_body_cam;
+    return m;
+  }
+  void feel(int k) {
+    for (int i = 1; i <= 10; ++i) {
+      ImuReading r = flight_.reading(k / 20.0 - 0.05 + i / 200.0);
+      r.gyro_rad_s += flight_.model_.imu.gyro * std::sqrt(200.0) * flight_.random();
+      r.accel_m_s2 += flight_.model_.imu.accel * std::sqrt(200.0) * flight_.random();
+      navigation_.add(r);
+    }
+  }
+  NavigationPose frame(int k, bool seen = true) {
+    if (!silent_) feel(k);
+    MetricMoment m = moment(k / 20.0);
+    if (spoil_) spoil_(&m);
+    const NavigationPose out = navigation_.frame(time(k), seen ? &m : nullptr);
+    // The navigation frame is the first child: into it goes the truth.
+    if (k == 0) first_ = {child_turn_, child_at_};
+    return out;
+  }
+  static rt::TimeNs time(int k) { return k * rt::TimeNs{50'000'000}; }
+  /// The first child's origin and heading are the frame's: the truth in it.
+  Vec3 true_place(int k) const { return first_.R.transpose() * (camera(k / 20.0) - first_.t); }
+  Mat3 true_attitude(int k) const { return first_.R.transpose() * attitude(k / 20.0); }
+  Vec3 true_speed(int k) const { return first_.R.transpose() * speed(k / 20.0); }
+  Vec6 error(int k, const NavigationPose& pose) const {
+    Vec6 e;
+    e << true_place(k) - pose.T_nav_cam.t, so3_log(true_attitude(k) * pose.T_nav_cam.R.transpose());
+    return e;
+  }
+
+  Flight flight_;
+  NavigationFrame navigation_;
+  ImuBias bias_;
+  bool silent_ = false;
+  void (*spoil_)(MetricMoment*) = nullptr;
+
+ private:
+  std::uint32_t child_id_ = 1;
+  Vec3 child_at_ = Vec3(3, -2, 1);
+  Mat3 child_turn_ = so3_exp(Vec3(0, 0, 0.7));
+  SE3 first_;
+};
+
+double nees(const Vec6& e, const Mat6& C) {
+  return e.dot(C.llt().solve(e)) / 6;
+}
+
+TEST(NavigationFrame, TheFirstFrameIsPassedOnAsItIs) {
+  Flown f(1);
+  const NavigationPose none = f.navigation_.frame(0, nullptr);
+  EXPECT_EQ(none.source, Source::kNone);
+  EXPECT_EQ(none.frame_id, 0u);
+  f.feel(1);
+  const MetricMoment m = f.moment(0.05);
+  const NavigationPose pose = f.navigation_.frame(Flown::time(1), &m);
+  EXPECT_EQ(pose.source, Source::kSeen);
+  EXPECT_EQ(pose.frame_id, 1u);
+  EXPECT_LT((pose.T_nav_cam.t - m.T_child_cam.t).norm(), 1e-12);
+  EXPECT_LT((pose.T_nav_cam.R - m.T_child_cam.R).norm(), 1e-12);
+  EXPECT_LT((pose.covariance - m.covariance).norm(), 1e-15) << "where it began is where it is counted from";
+  EXPECT_LT((pose.velocity_m_s - m.velocity_m_s).norm(), 1e-12);
+}
+
+TEST(NavigationFrame, ASecondWithoutPicturesIsBridgedInsideItsCovariance) {
+  double sum = 0, worst = 0;
+  int n = 0;
+  for (unsigned seed = 1; seed <= 30; ++seed) {
+    Flown f(seed);
+    for (int k = 0; k < 40; ++k) ASSERT_EQ(f.frame(k).source, Source::kSeen);
+    NavigationPose pose;
+    for (int k = 40; k < 60; ++k) {
+      pose = f.frame(k, false);
+      ASSERT_EQ(pose.source, Source::kCoasted) << pose.why << " " << pose.value;
+      EXPECT_EQ(pose.frame_id, 1u);
+      const Vec6 e = f.error(k, pose);
+      worst = std::max(worst, e.head<3>().norm());
+      sum += nees(e, pose.covariance);
+      ++n;
+      EXPECT_LT((pose.velocity_m_s - f.true_speed(k)).norm(), 5 * std::sqrt(pose.velocity_covariance.trace()));
+    }
+    const NavigationPose back = f.frame(60);
+    EXPECT_EQ(back.source, Source::kSeen);
+    EXPECT_EQ(back.frame_id, 1u) << "the same map is no new frame";
+    EXPECT_LT(f.error(60, back).norm(), 0.03);
+    EXPECT_GT(back.moved_by_m.norm(), 1e-6) << "what dead reckoning was off by is told";
+    EXPECT_LT(back.moved_by_m.norm(), 4 * std::sqrt(pose.covariance.topLeftCorner<3, 3>().trace()) + 0.02);
+  }
+  EXPECT_LT(worst, 0.10);
+  EXPECT_GT(sum / n, 0.3);
+  EXPECT_LT(sum / n, 2.0);
+}
+
+TEST(NavigationFrame, ANewMapIsHungInWhereTheBodyIsAndItsCovarianceHolds) {
+  double sum = 0, sum_place = 0, sigma_before = 0, sigma_after = 0;
+  int n = 0;
+  for (unsigned seed = 1; seed <= 40; ++seed) {
+    Flown f(seed);
+    for (int k = 0; k < 40; ++k) f.frame(k);
+    for (int k = 40; k < 100; ++k) {
+      const NavigationPose dark = f.frame(k, false);
+      if (dark.source == Source::kCoasted) sigma_before = std::sqrt(dark.covariance.topLeftCorner<3, 3>().trace());
+      ASSERT_EQ(dark.frame_id, 1u);
+    }
+    f.new_child();
+    for (int k = 100; k < 120; ++k) {
+      const NavigationPose pose = f.frame(k);
+      ASSERT_EQ(pose.source, Source::kSeen);
+      ASSERT_EQ(pose.frame_id, 1u) << seed << ": " << pose.why << " " << pose.value;
+      const Vec6 e = f.error(k, pose);
+      if (k == 100) {
+        sum += nees(e, pose.covariance);
+        sum_place += e.head<3>().norm();
+        sigma_after += std::sqrt(pose.covariance.topLeftCorner<3, 3>().trace());
+        ++n;
+        EXPECT_LT(std::abs(e(5)), 0.03) << "heading goes on by the gyroscope, wherever the new map heads";
+        EXPECT_LT(e.head<3>().norm(), 1.0);
+      }
+      EXPECT_LT((pose.velocity_m_s - f.true_speed(k)).norm(), 0.15) << k;
+      EXPECT_LE(pose.moved_by_m.norm(), k == 100 ? 1.0 : 1e-9) << "told once, with the first";
+    }
+  }
+  EXPECT_GT(sum / n, 0.3);
+  EXPECT_LT(sum / n, 2.0);
+  EXPECT_LT(sum_place / n, 0.25) << "after three seconds in the dark [m]";
+  std::printf("three seconds dark: off by %.3f m, sigma told %.3f m (last coasted %.3f m), NEES %.2f\n", sum_place / n,
+              sigma_after / n, sigma_before, sum / n);
+}
+
+TEST(NavigationFrame, CoastingEndsByTimeOrBySigmaAndSaysWhich) {
+  NavigationOptions options;
+  options.coast_ns = 400 * rt::kNsPerMs;
+  Flown f(3, options);
+  for (int k = 0; k < 20; ++k) f.frame(k);
+  for (int k = 20; k < 60; ++k) {
+    const NavigationPose pose = f.frame(k, false);
+    EXPECT_EQ(pose.source, k <= 27 ? Source::kCoasted : Source::kNone) << k;
+    if (k > 27) {
+      EXPECT_NE(std::string(pose.why).find("too long"), std::string::npos) << pose.why;
+    }
+  }
+  options.coast_ns = 100 * rt::kNsPerSecond;
+  options.coast_sigma_m = 0.05;
+  Flown g(3, options);
+  for (int k = 0; k < 20; ++k) g.frame(k);
+  NavigationPose pose;
+  int k = 20;
+  while ((pose = g.frame(k++, false)).source == Source::kCoasted && k < 200) {
+    EXPECT_LE(std::sqrt(pose.covariance.topLeftCorner<3, 3>().trace()), 0.06);
+  }
+  EXPECT_LT(k, 100);
+  EXPECT_NE(std::string(pose.why).find("uncertain"), std::string::npos) << pose.why;
+}
+
+TEST(NavigationFrame, WhatCannotBeTiedTogetherIsANewFrame) {
+  Flown f(4);
+  for (int k = 0; k < 20; ++k) f.frame(k);
+  const Vec3 last = f.true_place(19);
+  for (int k = 20; k < 1400; ++k) {
+    const NavigationPose pose = f.frame(k, false);
+    EXPECT_TRUE(pose.source == Source::kNone || k < 80);
+  }
+  f.new_child();
+  const NavigationPose pose = f.frame(1400);
+  EXPECT_EQ(pose.source, Source::kSeen);
+  EXPECT_EQ(pose.frame_id, 2u);
+  EXPECT_NE(std::string(pose.why).find("blind"), std::string::npos) << pose.why;
+  EXPECT_LT(pose.covariance(0, 0), 1e-3) << "counted from where it began";
+  EXPECT_EQ(pose.moved_by_m.norm(), 0.0) << "across frames nothing can be compared";
+  EXPECT_LT((pose.T_nav_cam.t - last).norm(), 60) << "and it begins about where the last one ended";
+  EXPECT_EQ(f.frame(1401).frame_id, 2u);
+}
+
+TEST(NavigationFrame, AMapThatDisagreesWithTheSensorIsNotTiedOn) {
+  // Of another scale: its speed is wrong by a factor.
+  Flown f(5);
+  for (int k = 0; k < 20; ++k) f.frame(k);
+  for (int k = 20; k < 40; ++k) f.frame(k, false);
+  f.new_child();
+  f.spoil_ = [](MetricMoment* m) { m->velocity_m_s *= 3; };
+  NavigationPose pose = f.frame(40);
+  EXPECT_EQ(pose.frame_id, 2u);
+  EXPECT_NE(std::string(pose.why).find("speed"), std::string::npos) << pose.why;
+  // Level by another vertical.
+  Flown g(5);
+  for (int k = 0; k < 20; ++k) g.frame(k);
+  g.new_child();
+  g.spoil_ = [](MetricMoment* m) { m->T_child_cam.R = so3_exp(Vec3(0.2, 0, 0)) * m->T_child_cam.R; };
+  pose = g.frame(20);
+  EXPECT_EQ(pose.frame_id, 2u);
+  EXPECT_NE(std::string(pose.why).find("vertical"), std::string::npos) << pose.why;
+}
+
+TEST(NavigationFrame, WithoutReadingsItClaimsNothingAndTheCovarianceSaysWhatMayHaveHappened) {
+  Flown f(6);
+  for (int k = 0; k < 20; ++k) f.frame(k);
+  f.silent_ = true;
+  EXPECT_EQ(f.frame(20, false).source, Source::kNone);
+  for (int k = 21; k < 40; ++k) {
+    const NavigationPose pose = f.frame(k, false);
+    EXPECT_EQ(pose.source, Source::kNone);
+    EXPECT_NE(std::string(pose.why).find("silent"), std::string::npos) << pose.why;
+  }
+  f.silent_ = false;
+  f.new_child();
+  const NavigationPose pose = f.frame(40);
+  const Vec6 e = f.error(40, pose);
+  EXPECT_EQ(pose.frame_id, 1u);
+  EXPECT_GT(std::sqrt(pose.covariance.topLeftCorner<3, 3>().trace()), 0.1);
+  EXPECT_LT(nees(e, pose.covariance), 4);
+}
+
+TEST(NavigationFrame, ASilentCameraIsNoReasonToForget) {
+  Flown f(7);
+  for (int k = 0; k < 20; ++k) f.frame(k);
+  for (int k = 20; k < 80; ++k) f.feel(k);  // three seconds, longer than readings are kept
+  f.new_child();
+  const NavigationPose pose = f.frame(80);
+  EXPECT_EQ(pose.frame_id, 1u) << pose.why;
+  EXPECT_LT(f.error(80, pose).head<3>().norm(), 0.6);
+  EXPECT_LT(nees(f.error(80, pose), pose.covariance), 4);
+}
+
+TEST(NavigationFrame, NothingThatIsNoNumberLeavesIt) {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  using Spoil = void (*)(MetricMoment*);
+  const Spoil spoils[] = {
+      [](MetricMoment* m) { m->T_child_cam.R(1, 2) = kNan; },
+      [](MetricMoment* m) { m->T_child_cam.t.y() = kNan; },
+      [](MetricMoment* m) { m->T_child_cam.R *= 2; },
+      [](MetricMoment* m) { m->velocity_m_s.x() = kNan; },
+      [](MetricMoment* m) { m->covariance(3, 0) = kNan; },
+      [](MetricMoment* m) { m->covariance(2, 2) = -1; },
+      [](MetricMoment* m) { m->velocity_covariance(1, 1) = kNan; },
+      [](MetricMoment* m) { m->moved_by_m.z() = kNan; },
+      [](MetricMoment* m) { m->turned_by_rad.z() = kNan; },
+      [](MetricMoment* m) { m->bias.gyro.x() = kNan; },
+      [](MetricMoment* m) { m->bias.accel.x() = kNan; },
+      [](MetricMoment* m) { m->gyro_bias_sigma = kNan; },
+      [](MetricMoment* m) { m->accel_bias_sigma = std::numeric_limits<double>::infinity(); },
+      [](MetricMoment* m) { m->R_body_cam(0, 0) = kNan; },
+      [](MetricMoment* m) { m->time_offset_s = kNan; },
+  };
+  Flown f(8);
+  int k = 0;
+  for (; k < 20; ++k) f.frame(k);
+  for (const Spoil spoil : spoils) {
+    f.spoil_ = spoil;
+    const NavigationPose pose = f.frame(k++);
+    EXPECT_EQ(pose.source, Source::kCoasted) << "as if it had not been seen";
+    EXPECT_TRUE(pose.T_nav_cam.R.allFinite() && pose.T_nav_cam.t.allFinite() && pose.velocity_m_s.allFinite() &&
+                pose.covariance.allFinite() && pose.velocity_covariance.allFinite());
+    f.spoil_ = nullptr;
+    EXPECT_EQ(f.frame(k++).source, Source::kSeen);
+  }
+  ImuReading reading = f.flight_.reading(k / 20.0);
+  reading.gyro_rad_s.x() = kNan;
+  EXPECT_FALSE(f.navigation_.add(reading));
+  EXPECT_EQ(f.frame(k).source, Source::kSeen);
+}
+
+TEST(NavigationFrame, DoesNotAllocate) {
+  Flown f(9);
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  {
+    const rt::RtScope real_time;
+    for (int k = 0; k < 20; ++k) f.frame(k);
+    for (int k = 20; k < 40; ++k) f.frame(k, false);
+    f.new_child();
+    for (int k = 40; k < 60; ++k) f.frame(k);
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  EXPECT_EQ(f.navigation_.frame_id(), 1u);
+}
+
+}  // namespace
+}  // namespace godwit::vo
