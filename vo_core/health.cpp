@@ -4,22 +4,6 @@
 
 namespace godwit::vo {
 
-const char* state_name(State s) {
-  switch (s) {
-    case State::kInitialising:
-      return "INITIALISING";
-    case State::kTracking:
-      return "TRACKING";
-    case State::kCoasting:
-      return "COASTING";
-    case State::kRelocalising:
-      return "RELOCALISING";
-    case State::kLost:
-      return "LOST";
-  }
-  return "?";
-}
-
 State Health::step(const FrameEvidence& e) {
   give_up_ = false;
   if (e.kind != FrameEvidence::Kind::kSamePicture) t_new_picture_ns_ = e.t_capture_ns;

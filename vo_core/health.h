@@ -5,15 +5,9 @@
 #include <cstdint>
 
 #include "hal/rt/time.h"
+#include "vo_core/state.h"
 
 namespace godwit::vo {
-
-/// INITIALISING: no map yet. TRACKING: this frame's picture gave the pose. COASTING: a pose from inertial measurements
-/// alone, for a short time. RELOCALISING: there is a map, this frame was not found in it,
-/// or by too few features to count. LOST: the map was given up,
-/// another one is being begun.
-enum class State : std::uint8_t { kInitialising, kTracking, kCoasting, kRelocalising, kLost };
-const char* state_name(State s);
 
 /// A figure and the limit that it was measured against. Static text.
 struct Reason {

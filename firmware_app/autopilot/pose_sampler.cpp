@@ -3,9 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <utility>
-
-#include "vo_core/health.h"
 
 namespace godwit::app {
 namespace {
@@ -44,20 +41,6 @@ Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam) {
   return Eigen::Vector3d(1, -1, -1).asDiagonal() * R_body_cam;
 }
 
-link::PoseState pose_state(std::string_view name) {
-  using P = link::PoseState;
-  using S = vo::State;
-  constexpr std::array<std::pair<S, P>, 5> kStates = {{{S::kInitialising, P::kInitialising},
-                                                       {S::kTracking, P::kTracking},
-                                                       {S::kCoasting, P::kCoasting},
-                                                       {S::kRelocalising, P::kRelocalising},
-                                                       {S::kLost, P::kLost}}};
-  for (const auto& [state, told] : kStates) {
-    if (name == vo::state_name(state)) return told;
-  }
-  return P::kLost;
-}
-
 Eigen::Matrix3d PoseSampler::world_of(const FrameRecord& record) const {
   return record.metric ? Eigen::Matrix3d(Eigen::Matrix3d::Identity()) : R_world_map_;
 }
@@ -77,15 +60,13 @@ void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matr
 link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   link::PoseSample s;
   s.t_capture_ns = record.t_capture_ns;
-  s.state = pose_state(record.state);
+  s.state = record.state;
   s.map_id = record.map_id;
   s.measurements = static_cast<std::uint16_t>(std::clamp(record.features, 0, 65535));
   s.reset_counter = jumps_;
   if (!record.has_pose) {
     // A state that claims a pose where there is none must not pass for one.
-    if (s.state == link::PoseState::kTracking || s.state == link::PoseState::kCoasting) {
-      s.state = link::PoseState::kRelocalising;
-    }
+    if (vo::claims_pose(s.state)) s.state = link::PoseState::kRelocalising;
     fit_.clear();
     has_last_ = false;
     return s;

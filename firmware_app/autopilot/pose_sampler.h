@@ -16,9 +16,6 @@ namespace godwit::app {
 /// (x right, y down, z ahead) to body (front, right, down).
 Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam);
 
-/// The link's word for a state's name (vo::state_name); kLost for one it does not know.
-link::PoseState pose_state(std::string_view name);
-
 /// Remembers the last few poses. Tracker thread; no allocation.
 class PoseSampler {
  public:

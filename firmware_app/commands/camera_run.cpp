@@ -28,7 +28,7 @@ class ShowingSink final : public FrameSink {
       : next_(next), bar_(bar), memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
-    bar_->show(++done_, record.state);
+    bar_->show(++done_, vo::state_name(record.state));
     return next_->take(record);
   }
   void started(const std::vector<std::string>& refused) override {

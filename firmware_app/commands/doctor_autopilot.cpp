@@ -111,7 +111,7 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
                                                      std::optional<int> viso_delay_ms, DoctorReport* report,
                                                      const std::atomic<bool>& stop) {
   link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
-  settings.link.first_pose_timeout_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
+  settings.link.patience.first_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
   settings.link.mavlink.attitude_hz = 20;
   settings.collect_inputs = true;
   auto opened = link::LinkService::open(settings);

@@ -43,8 +43,7 @@ void tame_covariance(Eigen::Matrix<double, N, N>* c, const Eigen::Matrix<double,
 }
 
 bool usable(const PoseSample& s) {
-  const bool has_pose = s.state == PoseState::kTracking || s.state == PoseState::kCoasting;
-  if (!has_pose || !finite(s.position) || !finite(s.orientation) || !finite(s.velocity) ||
+  if (!vo::claims_pose(s.state) || !finite(s.position) || !finite(s.orientation) || !finite(s.velocity) ||
       !finite(s.angular_velocity) || !finite(s.covariance) || !finite(s.velocity_covariance)) {
     return false;
   }

@@ -28,6 +28,8 @@ BodyPose neutral() {
 
 }  // namespace
 
+PoseHold::PoseHold() : pose_(neutral()) {}
+
 void PoseHold::heard_attitude(const Eigen::Quaterniond& q_ned_body, rt::TimeNs now_ns) {
   if (!q_ned_body.coeffs().allFinite() || std::abs(q_ned_body.norm() - 1) > 0.1) return;
   autopilot_q_ = q_ned_body.normalized();

@@ -22,6 +22,7 @@ namespace godwit::link {
 /// PX4 resets to the measurement and is served by the same. One thread; no allocation.
 class PoseHold {
  public:
+  PoseHold();
   /// The autopilot's attitude: body (front, right, down) to north, east, down. What is no rotation is passed over.
   void heard_attitude(const Eigen::Quaterniond& q_ned_body, rt::TimeNs now_ns);
 

@@ -5,10 +5,11 @@
 #include <cstdint>
 
 #include "hal/rt/time.h"
+#include "vo_core/state.h"
 
 namespace godwit::link {
 
-enum class PoseState : std::uint8_t { kInitialising = 0, kTracking = 1, kCoasting = 2, kRelocalising = 3, kLost = 4 };
+using PoseState = vo::State;
 
 /// One frame's pose. Plain bytes, so that it travels through rt::TripleBuffer.
 ///

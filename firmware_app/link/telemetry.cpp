@@ -103,4 +103,24 @@ hal::CanFrame telemetry_fd_frame(const TelemetrySnapshot& s, std::uint8_t sequen
   return p.frame();
 }
 
+bool TelemetrySender::due(const ParameterSet& parameters, rt::TimeNs now_ns) {
+  const std::int64_t rate = parameters.get(Parameter::kTelemetryRate);
+  if (rate == 0 || now_ns < t_next_ns_) return false;
+  t_next_ns_ = now_ns + rt::kNsPerSecond / rate;
+  return true;
+}
+
+void TelemetrySender::send(const TelemetrySnapshot& snapshot, const ParameterSet& parameters, TxQueue* queue,
+                           rt::TimeNs now_ns) {
+  if (!queue->begin(TxClass::kService, now_ns)) return;
+  const auto base = static_cast<std::uint32_t>(parameters.get(Parameter::kTelemetryBase));
+  ++sequence_;
+  if (parameters.get(Parameter::kTelemetryFd) != 0) {
+    queue->add_raw(telemetry_fd_frame(snapshot, sequence_, base));
+  } else {
+    for (const hal::CanFrame& frame : telemetry_frames(snapshot, sequence_, base)) queue->add_raw(frame);
+  }
+  queue->commit();
+}
+
 }  // namespace godwit::link

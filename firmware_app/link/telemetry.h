@@ -7,7 +7,9 @@
 #include <cstdint>
 
 #include "firmware_app/link/odometry_message.h"
+#include "firmware_app/link/parameters.h"
 #include "firmware_app/link/pose_sample.h"
+#include "firmware_app/link/tx_queue.h"
 #include "hal/can/can_frame.h"
 
 namespace godwit::link {
@@ -34,5 +36,17 @@ std::array<hal::CanFrame, kTelemetryFrames> telemetry_frames(const TelemetrySnap
                                                              std::uint32_t base_id);
 /// The same as one CAN FD frame with identifier base + 8.
 hal::CanFrame telemetry_fd_frame(const TelemetrySnapshot& snapshot, std::uint8_t sequence, std::uint32_t base_id);
+
+/// Sends snapshots as VIO_TEL_RATE, _BASE and _FD say. One thread; no allocation.
+class TelemetrySender {
+ public:
+  /// True where a snapshot is due, which send() is then to be given.
+  bool due(const ParameterSet& parameters, rt::TimeNs now_ns);
+  void send(const TelemetrySnapshot& snapshot, const ParameterSet& parameters, TxQueue* queue, rt::TimeNs now_ns);
+
+ private:
+  std::uint8_t sequence_ = 0;
+  rt::TimeNs t_next_ns_ = 0;
+};
 
 }  // namespace godwit::link

@@ -197,7 +197,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
   fmt::format_to(std::back_inserter(line_), ",{:.4f},{:.4f},{:.4f},{},", ms, thread_cpu_ms, proc_cpu_ms,
                  r.tracked ? 1 : 0);
   if (r.tracked) fmt::format_to(std::back_inserter(line_), "{}", r.map_id);
-  fmt::format_to(std::back_inserter(line_), ",{},{},{},{},{},", state_, r.features, fate_name(r.fate),
+  fmt::format_to(std::back_inserter(line_), ",{},{},{},{},{},", vo::state_name(state_), r.features, fate_name(r.fate),
                  r.is_keyframe ? 1 : 0, r.map_moved ? 1 : 0);
   if (processed && with_age_) {
     fmt::format_to(std::back_inserter(line_), "{:.4f}", rt::to_ms(r.t_done_ns - r.t_capture_ns));
@@ -221,7 +221,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
   if (written.ok() && r.has_pose) {
     line_.clear();
     append_time(r.t_source_ns, &line_);
-    fmt::format_to(std::back_inserter(line_), ",{},{},{}", r.state, r.tracked ? 1 : 0, r.map_id);
+    fmt::format_to(std::back_inserter(line_), ",{},{},{}", vo::state_name(r.state), r.tracked ? 1 : 0, r.map_id);
     append_pose(r, ',', &line_);
     const auto append = [this](const auto& values) {
       for (const double v : values) fmt::format_to(std::back_inserter(line_), ",{}", v);

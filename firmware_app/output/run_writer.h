@@ -69,7 +69,7 @@ class RunWriter final : public FrameSink {
   AtomicFile trajectory_, frames_, poses_, summary_;
   std::string line_;
   bool with_age_ = false;
-  const char* state_ = "INITIALISING";  ///< of the last processed frame: what holds while pictures are missing
+  vo::State state_ = vo::State::kInitialising;  ///< of the last processed frame: what holds while pictures are missing
   PipelineCounters counters_;
   PipelineCounters pipeline_;  ///< as set_pipeline() was told
   std::uint64_t tracked_ = 0;

@@ -11,6 +11,7 @@
 #include <string_view>
 
 #include "hal/rt/time.h"
+#include "vo_core/state.h"
 
 namespace godwit::app {
 
@@ -93,7 +94,7 @@ struct FrameRecord {
   rt::TimeNs thread_cpu_ns = 0;   ///< processor time of the tracking call
   rt::TimeNs mapper_cpu_ns = 0;   ///< processor time of the mapping since the last frame
   std::array<rt::TimeNs, kStages> stage_ns{};
-  const char* state = "";  ///< static text; set for processed frames
+  vo::State state = vo::State::kInitialising;  ///< processed frames
   std::array<double, 3> t_world_cam{};
   std::array<double, 4> q_world_cam{};  ///< x y z w
   /// Covariances: of the left twist (v, w) of the camera's pose, T_cam_true = exp(x) T_cam, that is along the camera's

@@ -54,7 +54,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   if (!pose.valid) {
     if (record->has_pose) {
       record->tracked = record->has_pose = false;
-      record->state = vo::state_name(vo::State::kInitialising);
+      record->state = vo::State::kInitialising;
       const auto& why = odometry_->refusal();
       const char* const text = why.text[0] != '\0' ? why.text : "waiting for motion that shows scale and vertical";
       // In thousandths: a reason's figures are whole numbers.

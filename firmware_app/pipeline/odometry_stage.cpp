@@ -123,7 +123,7 @@ class OdometryStage final : public FrameStage {
     Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = result.turned_by;
     record->map_id = result.map_id;
     record->features = result.measurements;
-    record->state = vo::state_name(result.state);
+    record->state = result.state;
     const vo::StageTimes& t = result.times;
     record->stage_ns = {t.pyramid, t.apply, t.initialise, t.align, t.reproject, t.pose, t.keyframe, 0};
     record->why = {result.reason, result.reason_value, result.reason_limit};

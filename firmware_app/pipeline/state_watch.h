@@ -1,7 +1,6 @@
 // Each change of the odometry's state as one entry for the log.
 #pragma once
 
-#include <cstring>
 #include <optional>
 
 #include "firmware_app/pipeline/frame_record.h"
@@ -14,22 +13,22 @@ class StateWatch {
  public:
   /// The entry for this frame if its state is not the last one's; the first state is told, too.
   std::optional<rt::LogEntry> changed(const FrameRecord& r) {
-    if (std::strcmp(r.state, state_) == 0) return std::nullopt;
-    const bool well = std::strcmp(r.state, "TRACKING") == 0 || state_[0] == '\0';
+    if (r.state == state_) return std::nullopt;
+    const bool well = r.state == vo::State::kTracking || !state_;
     const rt::LogEntry entry{.t_ns = r.t_capture_ns,
                              .level = well ? rt::LogLevel::kInfo : rt::LogLevel::kWarning,
                              .what = "state",
-                             .which = r.state,
+                             .which = vo::state_name(r.state),
                              .why = r.why.text,
                              .value = static_cast<double>(r.why.value),
                              .limit = static_cast<double>(r.why.limit),
-                             .before = state_};
+                             .before = state_ ? vo::state_name(*state_) : ""};
     state_ = r.state;
     return entry;
   }
 
  private:
-  const char* state_ = "";  ///< static text
+  std::optional<vo::State> state_;  ///< none yet
 };
 
 }  // namespace godwit::app

@@ -33,7 +33,7 @@ class LinkRunnerTest : public ::testing::Test {
   }
   void frame() {
     FrameRecord record;
-    record.state = "INITIALISING";
+    record.state = vo::State::kInitialising;
     record.t_capture_ns = rt::monotonic_now_ns() - rt::kNsPerMs;
     runner_->frame_done(record);
     rt::sleep_until_ns(rt::monotonic_now_ns() + 10 * rt::kNsPerMs);

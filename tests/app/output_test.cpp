@@ -83,7 +83,7 @@ FrameRecord tracked_frame(std::uint32_t sequence) {
   r.tracked = r.has_pose = true;
   r.map_id = 1;
   r.features = 123;
-  r.state = "TRACKING";
+  r.state = vo::State::kTracking;
   r.t_source_ns = 1403636584763555584 + static_cast<rt::TimeNs>(sequence) * 50'000'000;
   r.wall_ns = 2'000'000;
   r.thread_cpu_ns = 1'500'000;
@@ -191,7 +191,7 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   ASSERT_TRUE(writer.open(folder / "out", false).ok());
   FrameRecord first = tracked_frame(0);
   first.tracked = first.has_pose = false;
-  first.state = "INITIALISING";
+  first.state = vo::State::kInitialising;
   first.reason.assign("parallax too small: 33 of 100");
   FrameRecord bad;
   bad.sequence = 2;
@@ -200,7 +200,7 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   bad.reason.assign("rgb/2.png: \"cut off\", really");
   FrameRecord coasted = tracked_frame(3);
   coasted.tracked = false;
-  coasted.state = "COASTING";
+  coasted.state = vo::State::kCoasting;
   FrameRecord judged = tracked_frame(4);
   judged.t_capture_ns = 7'000'000'000;  // another clock than the source's
   judged.reference_id = 7;

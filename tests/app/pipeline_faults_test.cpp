@@ -60,7 +60,7 @@ class Stage final : public FrameStage {
   std::atomic<rt::TimeNs> map_ns{0};  ///< how long the mapper works on its next message
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     tracker.pass();
-    record->state = "TRACKING";
+    record->state = vo::State::kTracking;
     record->tracked = record->has_pose = true;
     return_.give_back(frame.slot, 2);
   }

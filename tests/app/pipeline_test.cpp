@@ -67,10 +67,10 @@ class FakeStage final : public FrameStage {
       : pool_(pool), tracker_return_(pool->reader(kTrackerReader)), mapper_return_(pool->reader(kMapperReader)) {}
   rt::TimeNs track_ns = 0;  ///< how long a frame takes
   int track_calls_outside_scope = 0;
-  std::uint64_t wrong_pixels = 0;   ///< tracker's own
-  std::uint64_t wrong_kept = 0;     ///< mapper's own
-  std::uint64_t mapped = 0;         ///< mapper's own
-  std::vector<const char*> states;  ///< one a frame, then the last again; empty: always tracking
+  std::uint64_t wrong_pixels = 0;  ///< tracker's own
+  std::uint64_t wrong_kept = 0;    ///< mapper's own
+  std::uint64_t mapped = 0;        ///< mapper's own
+  std::vector<vo::State> states;   ///< one a frame, then the last again; empty: always tracking
   std::set<std::uint32_t> keyframes;
   std::atomic<std::uint32_t> seen{0};  ///< number of the newest frame
   std::uint64_t samples = 0, samples_late = 0, samples_wrong = 0;
@@ -81,7 +81,7 @@ class FakeStage final : public FrameStage {
     if (track_ns > 0) rt::sleep_until_ns(rt::monotonic_now_ns() + track_ns);
     if (!intact(*pool_, frame)) ++wrong_pixels;
     t_frame_ns = frame.meta.t_capture_ns;
-    record->state = "TRACKING";
+    record->state = vo::State::kTracking;
     if (!states.empty()) {
       record->state = states[std::min<std::size_t>(frame.meta.sequence, states.size() - 1)];
       record->why = {"features", static_cast<std::int32_t>(frame.meta.sequence), 30};
@@ -331,8 +331,9 @@ TEST_P(BothModes, EachChangeOfStateIsToldOnceWithItsReason) {
   run.options.sequential = GetParam();
   run.camera.step_ns = 33 * rt::kNsPerMs;
   run.camera.bad = {2, 5};
-  run.stage.states = {"INITIALISING", "INITIALISING", "?",    "TRACKING", "COASTING", "?",
-                      "TRACKING",     "RELOCALISING", "LOST", "TRACKING"};
+  using S = vo::State;
+  run.stage.states = {S::kInitialising, S::kInitialising, S::kLost,         S::kTracking, S::kCoasting,
+                      S::kLost,         S::kTracking,     S::kRelocalising, S::kLost,     S::kTracking};
   ASSERT_TRUE(run.go().ok());
   struct Change {
     const char *before, *which;

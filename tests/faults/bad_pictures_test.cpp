@@ -79,7 +79,7 @@ class BadPictures : public testing::Test {
           << "frame " << i << " gives no reason";
       // A picture shown again carries no pose and leaves the state alone until it lasts.
       const bool again = i > 0 && shown[i].pixels != nullptr && shown[i].pixels == shown[i - 1].pixels;
-      EXPECT_EQ(r.tracked, !again && std::string_view(r.state) == "TRACKING") << i;
+      EXPECT_EQ(r.tracked, !again && r.state == vo::State::kTracking) << i;
       if (!r.tracked) continue;
       if (i >= kFault && i < fault_end) ++o.tracked_in_fault;
       if (shown[i].truth_index < 0) ++o.wrong;

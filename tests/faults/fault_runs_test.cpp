@@ -78,7 +78,7 @@ void add_run(const Recording& recording, const std::vector<Shown>& shown, std::s
   double worst_m = 0, worst_deg = 0;
   for (std::size_t i = 0; i < records.size(); ++i) {
     const double ms = static_cast<double>(records[i].thread_cpu_ns) * 1e-6;
-    if (std::string_view(records[i].state) == "RELOCALISING") tally->search_ms.push_back(ms);
+    if (records[i].state == vo::State::kRelocalising) tally->search_ms.push_back(ms);
     if (!records[i].tracked) continue;
     tally->tracking_ms.push_back(ms);
     ++tracked;

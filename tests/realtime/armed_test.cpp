@@ -222,7 +222,7 @@ class Offender final : public FrameStage {
   enum class Offence { kHeap, kLock, kPages };
   Offender(rt::FramePool* pool, Offence offence) : return_(pool->reader(kTrackerReader)), offence_(offence) {}
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
-    record->state = "LOST";
+    record->state = vo::State::kLost;
     if (offence_ == Offence::kHeap) kept_ = std::make_unique<int>(3);
     if (offence_ == Offence::kLock) const std::lock_guard<std::mutex> held(mutex_);
     if (offence_ == Offence::kPages) {

@@ -98,7 +98,8 @@ struct FaultFlight {
   void expect_states_told() const {
     std::vector<std::string> seen, told_of;
     for (const FrameRecord& r : notes.records) {
-      if (r.fate == FrameFate::kProcessed && (seen.empty() || seen.back() != r.state)) seen.emplace_back(r.state);
+      if (r.fate == FrameFate::kProcessed && (seen.empty() || seen.back() != vo::state_name(r.state)))
+        seen.emplace_back(vo::state_name(r.state));
     }
     for (const rt::LogEntry& e : notes.events) {
       if (e.what != std::string("state")) continue;
