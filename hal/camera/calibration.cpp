@@ -74,17 +74,7 @@ CameraCalibration read_own(const Reader& in) {
 
 CameraCalibration read_euroc(const Reader& in) {
   CameraCalibration c;
-  if (in.text("camera_model") != "pinhole") in.fail("camera_model", "'pinhole' is wanted");
-  const std::vector<double> size = in.numbers("resolution");
-  if (size.size() != 2) in.fail("resolution", "[width, height] is wanted");
-  c.width = in.to_whole("resolution", size[0], kMinImageSide, rt::kMaxImageWidth);
-  c.height = in.to_whole("resolution", size[1], kMinImageSide, rt::kMaxImageHeight);
-  const std::vector<double> k = in.numbers("intrinsics");
-  if (k.size() != 4) in.fail("intrinsics", "[fu, fv, cu, cv] is wanted");
-  c.fx = k[0];
-  c.fy = k[1];
-  c.cx = k[2];
-  c.cy = k[3];
+  yaml::read_pinhole(in, &c);
   yaml::read_distortion(in, "distortion_model", in.text("distortion_model"), "distortion_coefficients",
                         in.numbers("distortion_coefficients"), &c);
   if (in.has("rate_hz")) c.fps = in.number("rate_hz");

@@ -50,17 +50,7 @@ CameraCalibration read_kalibr(const YAML::Node& root, const std::string& name) {
   if (!root["cam0"].IsMap()) throw Mistake{name + ": cam0: a map of keys is wanted"};
   const Reader in(root["cam0"], name);
   CameraCalibration c;
-  if (in.text("camera_model") != "pinhole") in.fail("camera_model", "'pinhole' is wanted");
-  const std::vector<double> size = in.numbers("resolution");
-  if (size.size() != 2) in.fail("resolution", "[width, height] is wanted");
-  c.width = in.to_whole("resolution", size[0], kMinImageSide, rt::kMaxImageWidth);
-  c.height = in.to_whole("resolution", size[1], kMinImageSide, rt::kMaxImageHeight);
-  const std::vector<double> k = in.numbers("intrinsics");
-  if (k.size() != 4) in.fail("intrinsics", "[fu, fv, cu, cv] is wanted");
-  c.fx = k[0];
-  c.fy = k[1];
-  c.cx = k[2];
-  c.cy = k[3];
+  read_pinhole(in, &c);
   read_distortion(in, "distortion_model", in.text("distortion_model"), "distortion_coeffs",
                   in.numbers("distortion_coeffs"), &c);
   if (in.has("T_cam_imu")) c.T_body_cam = inverse(rigid_motion(in, "T_cam_imu", in.matrix("T_cam_imu")));

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "hal/rt/image.h"
+
 namespace godwit::hal::yaml {
 
 void Reader::fail(const std::string& key, const std::string& reason) const {
@@ -82,6 +84,20 @@ bool is_rigid(const std::array<double, 16>& T) {
 }
 
 }  // namespace
+
+void read_pinhole(const Reader& in, CameraCalibration* c) {
+  if (in.text("camera_model") != "pinhole") in.fail("camera_model", "'pinhole' is wanted");
+  const std::vector<double> size = in.numbers("resolution");
+  if (size.size() != 2) in.fail("resolution", "[width, height] is wanted");
+  c->width = in.to_whole("resolution", size[0], kMinImageSide, rt::kMaxImageWidth);
+  c->height = in.to_whole("resolution", size[1], kMinImageSide, rt::kMaxImageHeight);
+  const std::vector<double> k = in.numbers("intrinsics");
+  if (k.size() != 4) in.fail("intrinsics", "[fu, fv, cu, cv] is wanted");
+  c->fx = k[0];
+  c->fy = k[1];
+  c->cx = k[2];
+  c->cy = k[3];
+}
 
 void read_distortion(const Reader& in, const std::string& model_key, const std::string& model,
                      const std::string& coefficients_key, const std::vector<double>& k, CameraCalibration* c) {

@@ -43,6 +43,8 @@ class Reader {
 };
 
 bool starts_with(const std::string& text, std::string_view prefix);
+/// What Kalibr and EuRoC call camera_model (pinhole alone), resolution and intrinsics.
+void read_pinhole(const Reader& in, CameraCalibration* c);
 /// model: as the file calls it.
 void read_distortion(const Reader& in, const std::string& model_key, const std::string& model,
                      const std::string& coefficients_key, const std::vector<double>& coefficients,
