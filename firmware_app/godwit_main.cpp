@@ -10,6 +10,7 @@
 #include "firmware_app/commands/record_command.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
+#include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
 
@@ -18,7 +19,7 @@ namespace {
 int run(int argc, char** argv, const std::atomic<bool>& stop) {
   using namespace godwit::app;
   CLI::App app("Visual navigation without satellites: a camera frame in, a pose out.", "godwit");
-  app.set_version_flag("--version", "godwit " GODWIT_VERSION);
+  app.set_version_flag("--version", "godwit " + version_words(version()));
   app.require_subcommand(1);
   app.footer(
       "Exit codes: 0 done; 1 failed on the way (output cannot be written); 2 did not start (command line,\n"

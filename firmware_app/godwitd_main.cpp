@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdlib>
 
+#include "firmware_app/config/version.h"
 #include "firmware_app/daemon/daemon.h"
 #include "firmware_app/flight/config_check.h"
 #include "firmware_app/output/line_log.h"
@@ -16,7 +17,7 @@ namespace {
 int run(int argc, char** argv, const std::atomic<bool>& stop) {
   using namespace godwit::app;
   CLI::App app("Visual navigation without satellites, as a daemon.", "godwitd");
-  app.set_version_flag("--version", "godwitd " GODWIT_VERSION);
+  app.set_version_flag("--version", "godwitd " + version_words(version()));
   std::string file;
   app.add_option("--config", file, "Configuration (TOML); config/godwit.toml lists every key")
       ->type_name("FILE")

@@ -14,6 +14,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "firmware_app/config/version.h"
 #include "firmware_app/output/statistics.h"
 
 extern char** environ;
@@ -157,7 +158,7 @@ std::string json(const Options& o, const Comparison& c) {
   }
   const Json out = {{"kind", "latency-comparison"},
                     {"schema", 1},
-                    {"version", GODWIT_VERSION},
+                    {"version", app::version_words(app::version())},
                     {"input", o.input},
                     {"a", o.compare[0]},
                     {"b", o.compare[1]},

@@ -5,6 +5,7 @@
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
 
+#include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/whole_number.h"
 
@@ -15,7 +16,7 @@ int parse_options(int argc, char** argv, Options* o) {
       "The whole pipeline at the camera's own pace: how old a pose is when it stands and when it is on the bus, what "
       "each thread costs, what was late or lost.",
       "godwit-latency");
-  app.set_version_flag("--version", "godwit-latency " GODWIT_VERSION);
+  app.set_version_flag("--version", "godwit-latency " + app::version_words(app::version()));
   app.add_option("INPUT", o->input,
                  "Folder of a recorded sequence (as for godwit replay), or the name of a simulated scenario")
       ->required();

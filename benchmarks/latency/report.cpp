@@ -5,6 +5,8 @@
 #include <sys/utsname.h>
 #include <thread>
 
+#include "firmware_app/config/version.h"
+
 namespace godwit::bench {
 namespace {
 
@@ -118,7 +120,7 @@ std::string json(const Run& run) {
   for (const FlightFigures& f : run.flights) flights.push_back(of(f));
   const Json out = {{"kind", "latency"},
                     {"schema", 1},
-                    {"version", GODWIT_VERSION},
+                    {"version", app::version_words(app::version())},
                     {"machine",
                      {{"architecture", machine.machine},
                       {"kernel", machine.release},

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/config/version.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
@@ -150,8 +151,8 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     say("restart asked for over the bus; nothing was written");
     return kExitRestart;
   }
-  RunDescription description{GODWIT_VERSION, plan.source, plan.sequential ? "sequential" : "threads",
-                             plan.pace,      plan.start,  ""};
+  RunDescription description{
+      version_words(version()), plan.source, plan.sequential ? "sequential" : "threads", plan.pace, plan.start, ""};
   if (autopilot != nullptr) description.link = link_report_json(autopilot->finish());
   writer.set_pipeline(run.value());
   auto finished = writer.finish(description);

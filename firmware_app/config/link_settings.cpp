@@ -4,6 +4,7 @@
 #include <Eigen/SVD>
 #include <cmath>
 
+#include "firmware_app/config/version.h"
 #include "firmware_app/link/byte_port.h"
 
 namespace godwit::app {
@@ -70,6 +71,9 @@ void check_link(ConfigReport* report) {
 link::LinkSettings link_settings(const Config& config, const std::optional<std::array<double, 16>>& T_body_cam) {
   using link::Parameter;
   link::LinkSettings s;
+  s.link.identity.software_major = major_of(version());
+  s.link.identity.software_minor = minor_of(version());
+  s.link.identity.vcs_commit = vcs_commit(version());
   s.can = config.can.bus;
   s.mavlink = config.link.mavlink;
   s.state_folder = config.link.state_folder;

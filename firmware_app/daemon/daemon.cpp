@@ -8,6 +8,7 @@
 #include <string>
 
 #include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/config/version.h"
 #include "firmware_app/daemon/daemon_camera.h"
 #include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
@@ -162,6 +163,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
 }  // namespace
 
 int run_daemon(const Config& config, const std::atomic<bool>& stop) {
+  say("godwitd " + version_words(version()));
   const hal::ServiceManager manager;
   // Outlives link and pipeline.
   rt::Heartbeats heartbeats;

@@ -54,7 +54,8 @@ class Replay : public testing::Test {
 
 TEST(Tool, TellsItsVersionAndHelp) {
   EXPECT_EQ(godwit("--version").exit_code, 0);
-  EXPECT_THAT(godwit("--version").text, testing::MatchesRegex("godwit [0-9]+\\.[0-9]+\\.[0-9]+\n"));
+  EXPECT_THAT(godwit("--version").text, testing::MatchesRegex("godwit [0-9]+\\.[0-9]+\\.[0-9]+ "
+                                                              "\\(commit ([0-9a-f]{12}(-dirty)?|unknown)\\)\n"));
   const Outcome help = godwit("--help");
   EXPECT_EQ(help.exit_code, 0);
   EXPECT_THAT(help.text, AllOf(HasSubstr("replay"), HasSubstr("Exit codes: 0 done")));
