@@ -1,12 +1,15 @@
-// What the kernel says of a CAN network interface (rtnetlink), what a user should change about it, and how to restart
-// its controller after bus-off.
+// What the kernel says of a CAN network interface (rtnetlink, by libnl-route), what a user should change about it, and
+// how to restart its controller after bus-off.
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "hal/rt/result.h"
+
+struct nl_sock;
 
 namespace godwit::hal {
 
@@ -28,11 +31,24 @@ rt::Result<CanLinkInfo> read_can_link(const std::string& interface);
 /// than a burst give ENOBUFS (libcsp #74); fq_codel drops frames unseen (systemd #9194).
 std::vector<std::string> can_link_advice(const CanLinkInfo& info);
 
-/// Asks the kernel to restart a controller that is bus-off. Needs CAP_NET_ADMIN; without it false, and restart-ms is
-/// the only way. One system call on a socket opened before; no allocation.
-bool request_can_restart(int netlink_fd, int interface_index);
+struct NetlinkSocketDeleter {
+  void operator()(nl_sock* socket) const;
+};
 
-/// A netlink socket for request_can_restart; -1 where there is none.
-int open_netlink();
+/// Asks the kernel to restart a controller that is bus-off. Needs CAP_NET_ADMIN; without it restart-ms is the only way.
+class CanRestarter {
+ public:
+  /// Opens the socket and makes the message by libnl, which allocates.
+  CanRestarter();
+  /// One system call; no allocation. False: it could not be asked.
+  bool request(int interface_index);
+
+ private:
+  std::vector<std::uint8_t> message_;
+  std::unique_ptr<nl_sock, NetlinkSocketDeleter> socket_;
+};
+
+/// What it sends, for interface 0; empty: libnl could not make it.
+std::vector<std::uint8_t> can_restart_message();
 
 }  // namespace godwit::hal

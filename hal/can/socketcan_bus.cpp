@@ -10,8 +10,6 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "hal/can/can_link.h"
-
 namespace godwit::hal {
 CanState state_after_error_frame(CanState before, const canfd_frame& raw) {
   if ((raw.can_id & CAN_ERR_BUSOFF) != 0) return CanState::kBusOff;
@@ -34,7 +32,7 @@ rt::Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& 
   const bool absent = reason == ENODEV || reason == EAFNOSUPPORT;
   if (absent && wait_for_it) {
     self->disconnect();
-    self->netlink_fd_ = open_netlink();
+    self->restarter_ = std::make_unique<CanRestarter>();
     self->fd_frames_ = true;  // what it will be like is not known: the kernel refuses what it cannot carry
     self->advice_ = {name + "the interface is not there (yet); it is looked for"};
     return self;
@@ -45,7 +43,7 @@ rt::Result<std::unique_ptr<SocketCanBus>> SocketCanBus::open(const std::string& 
     if (reason == ENODEV) message += "; ip link shows the interfaces there are";
     return rt::Error{message};
   }
-  self->netlink_fd_ = open_netlink();
+  self->restarter_ = std::make_unique<CanRestarter>();
   const auto link = read_can_link(interface);
   if (!link.ok()) return rt::Error{name + link.error().message};
   self->bit_rate_ = link.value().bit_rate;
@@ -65,7 +63,6 @@ std::unique_ptr<SocketCanBus> SocketCanBus::adopt(int descriptor) {
 
 SocketCanBus::~SocketCanBus() {
   disconnect();
-  if (netlink_fd_ >= 0) close(netlink_fd_);
 }
 
 void SocketCanBus::disconnect() {
@@ -191,7 +188,7 @@ void SocketCanBus::maintain(rt::TimeNs now_ns) {
   if (off) {
     // Nothing can be sent meanwhile, so the short stay of this call in the kernel costs nobody anything. Where we may
     // not ask (no CAP_NET_ADMIN), restart-ms of the interface does it and a RESTARTED error frame tells us.
-    if (netlink_fd_ >= 0) request_can_restart(netlink_fd_, interface_index_);
+    if (restarter_) restarter_->request(interface_index_);
     return;
   }
   if (connect() == nullptr) {

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "hal/can/can_link.h"
 #include "hal/can/can_socket.h"
 
 namespace godwit::hal {
@@ -42,7 +43,7 @@ class SocketCanBus final : public CanBus {
 
   std::string interface_;
   int fd_ = -1;
-  int netlink_fd_ = -1;
+  std::unique_ptr<CanRestarter> restarter_;  ///< null: an adopted bus
   int interface_index_ = 0;
   bool fd_frames_ = false;
   bool reopen_ = true;

@@ -1,7 +1,12 @@
 #include "hal/can/socketcan_bus.h"
 
+#include <cstring>
 #include <gtest/gtest.h>
 #include <linux/can/error.h>
+#include <linux/can/netlink.h>
+#include <linux/if_link.h>
+#include <linux/rtnetlink.h>
+#include <span>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -168,7 +173,60 @@ TEST(CanLink, ReadsTheLoopbackInterface) {
   ASSERT_TRUE(link.ok()) << link.error().message;
   EXPECT_FALSE(link.value().qdisc.empty());
   EXPECT_TRUE(link.value().kind.empty());
-  EXPECT_FALSE(read_can_link("nosuchif").ok());
+  const auto none = read_can_link("nosuchif");
+  ASSERT_FALSE(none.ok());
+  EXPECT_NE(none.error().message.find("nosuchif: No such device"), std::string::npos) << none.error().message;
+}
+
+/// Calls visit(type, payload) for each attribute of a block, nested flags taken off.
+template <typename Visit>
+void for_each_attribute(std::span<const std::uint8_t> block, Visit visit) {
+  while (block.size() >= sizeof(rtattr)) {
+    rtattr attribute{};
+    std::memcpy(&attribute, block.data(), sizeof attribute);
+    ASSERT_TRUE(attribute.rta_len >= sizeof attribute && attribute.rta_len <= block.size());
+    visit(attribute.rta_type & NLA_TYPE_MASK, block.subspan(RTA_LENGTH(0), attribute.rta_len - RTA_LENGTH(0)));
+    block = block.subspan(std::min<std::size_t>(RTA_ALIGN(attribute.rta_len), block.size()));
+  }
+}
+
+// What drivers/net/can/dev/netlink.c wants: RTM_NEWLINK with IFLA_LINKINFO {IFLA_INFO_KIND "can", IFLA_INFO_DATA
+// {IFLA_CAN_RESTART 1}}.
+TEST(CanLink, TheRestartMessageAsksTheCanDriverToRestart) {
+  const std::vector<std::uint8_t> message = can_restart_message();
+  ASSERT_GE(message.size(), NLMSG_SPACE(sizeof(ifinfomsg)));
+  nlmsghdr header{};
+  std::memcpy(&header, message.data(), sizeof header);
+  EXPECT_EQ(header.nlmsg_len, message.size());
+  EXPECT_EQ(header.nlmsg_type, RTM_NEWLINK);
+  EXPECT_EQ(header.nlmsg_flags, NLM_F_REQUEST) << "it is not waited for an answer";
+  std::string kind;
+  std::uint32_t restart = 0;
+  int others = 0;
+  for_each_attribute(std::span(message).subspan(NLMSG_SPACE(sizeof(ifinfomsg))), [&](int type, auto info) {
+    if (type != IFLA_LINKINFO) ++others;
+    for_each_attribute(info, [&](int part, auto value) {
+      if (part == IFLA_INFO_KIND) kind = reinterpret_cast<const char*>(value.data());
+      if (part != IFLA_INFO_DATA) return;
+      for_each_attribute(value, [&](int what, auto number) {
+        if (what != IFLA_CAN_RESTART) ++others;
+        std::memcpy(&restart, number.data(), sizeof restart);
+      });
+    });
+  });
+  EXPECT_EQ(kind.substr(0, 3), "can");
+  EXPECT_EQ(restart, 1u);
+  EXPECT_EQ(others, 0) << "nothing else of the interface is touched";
+}
+
+TEST(CanLink, AskingForARestartAllocatesNothing) {
+  CanRestarter restarter;
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  {
+    const rt::RtScope scope;
+    restarter.request(1 << 30);  // of an interface that is not there: the kernel's refusal is not waited for
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
 }
 
 TEST(CanLink, AdviceNamesTheCommand) {
