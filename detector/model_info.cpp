@@ -7,6 +7,7 @@
 #include <optional>
 #include <toml++/toml.h>
 
+#include "detector/sha256.h"
 #include "hal/rt/small_file.h"
 
 namespace godwit::detector {
@@ -14,8 +15,9 @@ namespace {
 
 constexpr std::size_t kMostMetadataBytes = 1 << 20;
 
-constexpr std::array<std::string_view, 9> kKeys = {"layout",    "input_width", "input_height", "channel_order", "scale",
-                                                   "letterbox", "fill",        "classes",      "movable"};
+constexpr std::array<std::string_view, 10> kKeys = {"layout",  "input_width", "input_height", "channel_order",
+                                                    "scale",   "letterbox",   "fill",         "classes",
+                                                    "movable", "sha256"};
 constexpr std::size_t kMaxFileBytes = 64 * 1024;
 
 /// Reads keys one by one and keeps the first complaint.
@@ -61,6 +63,14 @@ class Reader {
       complain(key, "a list of " + std::to_string(fewest) + " to " + std::to_string(kMaxClasses) + " different names");
     }
     return out;
+  }
+
+  std::string sha256(std::string_view key) {
+    const auto text = table_[key].value_exact<std::string>();
+    const auto digit = [](char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); };
+    if (text && text->size() == 64 && std::all_of(text->begin(), text->end(), digit)) return *text;
+    complain(key, "the SHA-256 of the network's file, as sha256sum prints it");
+    return {};
   }
 
   void complain(std::string_view key, const std::string& allowed) {
@@ -124,6 +134,7 @@ rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view n
       info.movable[static_cast<std::size_t>(at - info.classes.begin())] = true;
     }
   }
+  info.sha256 = reader.sha256("sha256");
   if (reader.error()) return rt::Error{*reader.error()};
   return info;
 }
@@ -135,7 +146,14 @@ rt::Result<ModelInfo> read_model_info(const std::string& model_path) {
     if (std::filesystem::exists(path)) return text.error();
     return rt::Error{path + ": cannot be opened; a model needs its metadata file beside it"};
   }
-  return parse_model_info(text.value(), path);
+  auto info = parse_model_info(text.value(), path);
+  if (!info) return info.error();
+  const auto sum = sha256_of_file(model_path);
+  if (!sum) return sum.error();
+  if (sum.value() != info.value().sha256) {
+    return rt::Error{model_path + ": not the network that " + path + " describes: its SHA-256 is " + sum.value()};
+  }
+  return info;
 }
 
 }  // namespace godwit::detector

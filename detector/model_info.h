@@ -29,6 +29,7 @@ struct ModelInfo {
   int fill = 114;                    ///< pixel value around the letterboxed picture
   std::vector<std::string> classes;  ///< by class number
   std::vector<bool> movable;         ///< by class number: may move, so its pixels are not trusted
+  std::string sha256;                ///< of the network's file: 64 hexadecimal digits
 
   /// Rows that the output must have: cells of strides 8, 16 and 32, times three anchors for YOLOv5.
   int output_rows() const;
@@ -38,7 +39,8 @@ struct ModelInfo {
 /// range are errors that name file, key and what is allowed. Allocates; not for the frame path.
 rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view name);
 
-/// Reads the metadata file beside a model: the model's path with .toml in place of its extension.
+/// Reads the metadata file beside a model: the model's path with .toml in place of its extension. Error also where the
+/// model is not the file that the metadata describes, by its SHA-256.
 rt::Result<ModelInfo> read_model_info(const std::string& model_path);
 
 }  // namespace godwit::detector

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import struct
 from pathlib import Path
 
@@ -36,10 +37,10 @@ def _inline_identities(path: Path) -> None:
     onnx.save(model, str(path))
 
 
-def write_metadata(path: Path, size: int) -> None:
-    """The TOML file that detector/model_info.h reads."""
+def write_metadata(model: Path, size: int) -> None:
+    """The TOML file that detector/model_info.h reads, beside the model."""
     quoted = ", ".join(f'"{c}"' for c in CLASSES)
-    path.write_text(f"""# Written by detector/training/export.py beside the model of the same name.
+    model.with_suffix(".toml").write_text(f"""# Written by detector/training/export.py beside the model of the same name.
 layout = "yolov5"
 input_width = {size}
 input_height = {size}
@@ -49,6 +50,7 @@ letterbox = "centre"
 fill = 114
 classes = [{quoted}]
 movable = [{quoted}]
+sha256 = "{hashlib.sha256(model.read_bytes()).hexdigest()}"
 """)
 
 
@@ -95,7 +97,7 @@ def main() -> None:
     for size in args.sizes:
         path = args.out / f"{name(held)}_{size}.onnx"
         export_onnx(net, size, path)
-        write_metadata(path.with_suffix(".toml"), size)
+        write_metadata(path, size)
         print(f"{path}: {path.stat().st_size} bytes, after {held['step']} steps")
 
 

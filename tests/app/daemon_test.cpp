@@ -328,10 +328,14 @@ TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
   told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ": cannot be opened");
   told("small_model = \"/\"\n", ":7: detector.small_model: /: no file");
   std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.toml", folder.path() / "own.toml");
+  told("model = \"" + own + "\"\n", ":7: detector.model: " + own + ": not the network that " + (folder / "own.toml") +
+                                        " describes: its SHA-256 is ");
+  std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx", own,
+                        std::filesystem::copy_options::overwrite_existing);
   told("small_model = \"" + own + "\"\n",
        ":7: detector.small_model: " + own + ": its input of 416 pixels is not smaller");
   std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
-  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":11: unknown key size");
+  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":12: unknown key size");
 }
 
 TEST(GodwitCheck, SaysOkAndShowsEveryKey) {

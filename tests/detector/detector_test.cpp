@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "detector/sha256.h"
 #include "detector/tiles.h"
 #include "tests/support/temp_folder.h"
 
@@ -135,12 +136,22 @@ TEST_F(DetectorTest, BadModelsAreNamedWithTheReason) {
   const std::string lonely = write("lonely.onnx", model);
   EXPECT_NE(why(Detector::open(lonely, {})).find("lonely.toml: cannot be opened"), std::string::npos);
 
+  // The metadata of a file: its own checksum in place of the delivered one's.
+  const auto meta_of = [&](const std::string& file) {
+    std::string out = meta;
+    return out.replace(out.find("sha256"), std::string::npos, "sha256 = \"" + sha256_of_file(file).value() + "\"\n");
+  };
+  const std::string half = write("cut.onnx", model.substr(0, model.size() / 2));
   write("cut.toml", meta);
-  const std::string cut = why(Detector::open(write("cut.onnx", model.substr(0, model.size() / 2)), {}));
+  const std::string changed = why(Detector::open(half, {}));
+  EXPECT_NE(changed.find("cut.onnx: not the network that"), std::string::npos) << changed;
+  write("cut.toml", meta_of(half));
+  const std::string cut = why(Detector::open(half, {}));
   EXPECT_NE(cut.find("cut.onnx: not a network"), std::string::npos) << cut;
 
-  write("empty.toml", meta);
-  const std::string empty = why(Detector::open(write("empty.onnx", ""), {}));
+  const std::string nothing = write("empty.onnx", "");
+  write("empty.toml", meta_of(nothing));
+  const std::string empty = why(Detector::open(nothing, {}));
   EXPECT_NE(empty.find("empty.onnx: "), std::string::npos) << empty;
 
   std::string five = meta;

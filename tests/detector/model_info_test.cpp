@@ -1,7 +1,10 @@
 #include "detector/model_info.h"
 
+#include <fstream>
 #include <gtest/gtest.h>
 #include <string>
+
+#include "tests/support/temp_folder.h"
 
 namespace godwit::detector {
 namespace {
@@ -15,6 +18,7 @@ letterbox = "centre"
 fill = 114
 classes = ["person", "chair", "car"]
 movable = ["car", "person"]
+sha256 = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 )";
 
 std::string with(const std::string& from, const std::string& to) {
@@ -43,6 +47,7 @@ TEST(ModelInfo, ReadsEveryKey) {
   EXPECT_EQ(info.classes[1], "chair");
   EXPECT_EQ(info.movable, (std::vector<bool>{true, false, true}));
   EXPECT_EQ(info.output_rows(), 3 * (52 * 40 + 26 * 20 + 13 * 10));
+  EXPECT_EQ(info.sha256.substr(0, 8), "ba7816bf");
 }
 
 TEST(ModelInfo, YoloxHasOneRowACell) {
@@ -72,6 +77,24 @@ TEST(ModelInfo, BytesOutsideAsciiAreRefusedBeforeTheParser) {
 
 TEST(ModelInfo, NestedBracketsWithoutEndAreAnError) {
   EXPECT_EQ(why(std::string(25, '[') + "s").substr(0, 9), "m.toml:1:");
+}
+
+TEST(ModelInfo, AFileWithAnotherChecksumIsNotTheNetwork) {
+  EXPECT_EQ(why(with("ba7816bf", "BA7816BF")),
+            "m.toml: sha256: must be the SHA-256 of the network's file, as sha256sum prints it");
+  EXPECT_EQ(why(with("sha256 = ", "# ")),
+            "m.toml: sha256 is missing; must be the SHA-256 of the network's file, as sha256sum prints it");
+  const test::TempFolder folder;
+  std::ofstream(folder / "net.toml") << kGood;
+  std::ofstream(folder / "net.onnx") << "abc";
+  EXPECT_TRUE(read_model_info(folder / "net.onnx").ok());
+  std::ofstream(folder / "net.onnx") << "abd";
+  const auto other = read_model_info(folder / "net.onnx");
+  ASSERT_FALSE(other.ok());
+  EXPECT_EQ(other.error().message.find((folder / "net.onnx") + ": not the network that " + (folder / "net.toml") +
+                                       " describes: its SHA-256 is a52d159f262b2c6d"),
+            0u)
+      << other.error().message;
 }
 
 TEST(ModelInfo, MissingFileIsNamed) {
