@@ -7,9 +7,9 @@
 #include "benchmarks/latency/options.h"
 #include "benchmarks/latency/plot.h"
 #include "benchmarks/latency/report.h"
-#include "firmware_app/output/atomic_file.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
+#include "hal/atomic_file.h"
 
 namespace {
 
@@ -21,18 +21,18 @@ int fail(int code, const std::string& message) {
 }
 
 /// Opens the file before the flights, so that a folder that is not there does not cost their time.
-rt::Result<void> open_output(const std::string& name, app::AtomicFile* file) {
+rt::Result<void> open_output(const std::string& name, hal::AtomicFile* file) {
   return name.empty() ? rt::Result<void>() : file->open(name);
 }
 
-int finish(const std::string& name, const std::string& text, app::AtomicFile* file) {
+int finish(const std::string& name, const std::string& text, hal::AtomicFile* file) {
   if (name.empty()) return app::kExitDone;
   if (auto r = file->write(text); !r) return fail(app::kExitFailed, r.error().message);
   if (auto r = file->commit(); !r) return fail(app::kExitFailed, r.error().message);
   return app::kExitDone;
 }
 
-int run_compare(const bench::Options& o, app::AtomicFile* file, const std::atomic<bool>& stop) {
+int run_compare(const bench::Options& o, hal::AtomicFile* file, const std::atomic<bool>& stop) {
   const auto compared = bench::compare(o, stop);
   if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
   if (!compared) return fail(app::kExitFailed, compared.error().message);
@@ -43,7 +43,7 @@ int run_compare(const bench::Options& o, app::AtomicFile* file, const std::atomi
 int run(int argc, char** argv, const std::atomic<bool>& stop) {
   bench::Options o;
   if (const int code = bench::parse_options(argc, argv, &o); code >= 0) return code;
-  app::AtomicFile json_file;
+  hal::AtomicFile json_file;
   if (auto r = open_output(o.json_file, &json_file); !r) return fail(app::kExitRefused, r.error().message);
   if (!o.compare.empty()) return run_compare(o, &json_file, stop);
   app::Config config;

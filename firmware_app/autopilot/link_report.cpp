@@ -1,4 +1,6 @@
+#include <cmath>
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
 #include "firmware_app/autopilot/link_runner.h"
 
@@ -21,6 +23,10 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
       fmt::format("{} ODOMETRY sent, {} passed over for a newer one, {} stale; bus "
                   "load {:.1f} %",
                   s.odometry_sent, s.poses_paced, s.poses_stale, s.bus_load_percent));
+  if (s.pictures_repeated > 0) {
+    lines.push_back(
+        fmt::format("{} pictures were the one before, bit for bit: nothing was sent for them", s.pictures_repeated));
+  }
   const std::uint64_t lost = s.tx.poses_replaced + s.tx.refused + s.tx.abandoned;
   if (lost + s.bus.bus_off + s.bus.reopened + s.reception.errors() > 0) {
     lines.push_back(
@@ -32,20 +38,31 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
 }
 
 std::string link_report_json(const link::LinkStatus& s) {
-  const bool known = s.latency.samples >= link::LatencyMonitor::kMinSamples;
-  const auto ms = [&](double value) { return known ? fmt::format("{:.3f}", value) : std::string("null"); };
-  const auto own = [&](double value) { return s.own_samples > 0 ? fmt::format("{:.3f}", value) : std::string("null"); };
-  return fmt::format(
-      R"({{"node_id": {}, "odometry_sent": {}, "poses_paced": {}, "poses_stale": {}, "poses_replaced": {}, )"
-      R"("messages_refused": {}, "messages_abandoned": {}, "reception_errors": {}, "bus_off": {}, "reopened": {}, )"
-      R"("reset_counter": {}, "bus_load_percent": {:.2f}, "timesync": {}, "round_trip_ms": {:.3f}, )"
-      R"("latency_p50_ms": {}, "latency_p99_ms": {}, "viso_delay_ms": {}, )"
-      R"("own_p50_ms": {}, "own_p99_ms": {}, "own_max_ms": {}}})",
-      s.node_id, s.odometry_sent, s.poses_paced, s.poses_stale, s.tx.poses_replaced, s.tx.refused, s.tx.abandoned,
-      s.reception.errors(), s.bus.bus_off, s.bus.reopened, s.reset_counter, s.bus_load_percent, s.synchronised,
-      s.round_trip_ms, ms(s.latency.p50_ms), ms(s.latency.p99_ms),
-      known ? std::to_string(s.latency.viso_delay_ms) : "null", own(s.own_p50_ms), own(s.own_p99_ms),
-      own(s.own_max_ms));
+  using Json = nlohmann::ordered_json;
+  const auto ms = [](bool known, double value) { return known ? Json(std::round(value * 1e3) / 1e3) : Json(); };
+  const bool known = s.latency.samples >= link::LatencyMonitor::kMinSamples, own = s.own_samples > 0;
+  const Json j = {{"node_id", s.node_id},
+                  {"odometry_sent", s.odometry_sent},
+                  {"poses_paced", s.poses_paced},
+                  {"poses_stale", s.poses_stale},
+                  {"pictures_repeated", s.pictures_repeated},
+                  {"poses_replaced", s.tx.poses_replaced},
+                  {"messages_refused", s.tx.refused},
+                  {"messages_abandoned", s.tx.abandoned},
+                  {"reception_errors", s.reception.errors()},
+                  {"bus_off", s.bus.bus_off},
+                  {"reopened", s.bus.reopened},
+                  {"reset_counter", s.reset_counter},
+                  {"bus_load_percent", std::round(s.bus_load_percent * 1e2) / 1e2},
+                  {"timesync", s.synchronised},
+                  {"round_trip_ms", ms(true, s.round_trip_ms)},
+                  {"latency_p50_ms", ms(known, s.latency.p50_ms)},
+                  {"latency_p99_ms", ms(known, s.latency.p99_ms)},
+                  {"viso_delay_ms", known ? Json(s.latency.viso_delay_ms) : Json()},
+                  {"own_p50_ms", ms(own, s.own_p50_ms)},
+                  {"own_p99_ms", ms(own, s.own_p99_ms)},
+                  {"own_max_ms", ms(own, s.own_max_ms)}};
+  return j.dump();
 }
 
 }  // namespace godwit::app

@@ -3,8 +3,8 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/record_command.h"
-#include "firmware_app/output/atomic_file.h"
 #include "firmware_app/program/exit_code.h"
+#include "hal/atomic_file.h"
 #include "hal/imu/allan.h"
 #include "hal/imu/replay/imu_record.h"
 
@@ -58,7 +58,7 @@ std::string plot(const hal::ImuNoise& noise) {
 }
 
 rt::Result<void> write(const std::string& file, const std::string& text) {
-  AtomicFile out;
+  hal::AtomicFile out;
   if (auto r = out.open(file); !r) return r;
   if (auto r = out.write(text); !r) return r;
   return out.commit();

@@ -4,11 +4,11 @@
 #include <memory>
 
 #include "firmware_app/commands/camera_run.h"
-#include "firmware_app/output/atomic_file.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sim/flight_writer.h"
 #include "firmware_app/sim/flown_camera.h"
+#include "hal/atomic_file.h"
 #include "hal/imu/replay/replay_imu.h"
 
 namespace godwit::app {
@@ -21,7 +21,7 @@ rt::Result<void> write_truth(const sim::Flight& flight, const FlownCamera& camer
   // The run's times count from the flight's start.
   if (auto r = write_ground_truth(flight, out + "/groundtruth.txt", 0); !r) return r;
   if (auto r = write_sensors(flight, out, 0); !r) return r;
-  AtomicFile file;
+  hal::AtomicFile file;
   if (auto r = file.open(out + "/boxes.csv"); !r) return r;
   if (auto r = file.write(camera.boxes()); !r) return r;
   return file.commit();

@@ -9,7 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <vector>
 
-#include "firmware_app/output/atomic_file.h"
+#include "hal/atomic_file.h"
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/thread.h"
 
@@ -57,7 +57,7 @@ class Recording {
   rt::Thread camera_thread_, imu_thread_;
   std::unique_ptr<rt::SpscRing<hal::ImuSample, 4096>> samples_ = std::make_unique<rt::SpscRing<hal::ImuSample, 4096>>();
   std::string imu_text_;
-  AtomicFile imu_file_;
+  hal::AtomicFile imu_file_;
   rt::TimeNs began_ns_ = 0;
   // Numbers alone; nothing is ordered by them.
   std::atomic<std::uint64_t> pictures_{0}, bad_{0}, missed_{0}, taken_{0}, imu_faults_{0};
@@ -255,7 +255,7 @@ rt::Result<void> Recording::finish(const Recorded& /*done*/) {
   }
   if (camera_ == nullptr) return {};
   const auto write = [&](const std::string& name, const std::string& text) -> rt::Result<void> {
-    AtomicFile file;
+    hal::AtomicFile file;
     if (auto r = file.open(options_.out + name); !r) return r;
     if (auto r = file.write(text); !r) return r;
     return file.commit();

@@ -6,6 +6,8 @@
 #include <iterator>
 #include <system_error>
 
+#include "firmware_app/output/summary_json.h"
+
 namespace godwit::app {
 namespace {
 
@@ -30,77 +32,6 @@ std::string csv_field(std::string_view text) {
     out += (c == '\n' || c == '\r') ? ' ' : c;
   }
   return out + '"';
-}
-
-/// Length of the UTF-8 sequence that text begins with; 0: it is none (RFC 3629).
-std::size_t utf8_length(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0U; };
-  const unsigned lead = byte(0);
-  if (lead < 0x80) return 1;
-  const std::size_t length = lead >= 0xF0 && lead < 0xF5   ? 4
-                             : lead >= 0xE0 && lead < 0xF0 ? 3
-                             : lead >= 0xC2 && lead < 0xE0 ? 2
-                                                           : 0;
-  for (std::size_t i = 1; i < length; ++i) {
-    if ((byte(i) & 0xC0U) != 0x80) return 0;
-  }
-  // Overlong forms, surrogates, and beyond the last character.
-  const bool wrong = (lead == 0xE0 && byte(1) < 0xA0) || (lead == 0xED && byte(1) > 0x9F) ||
-                     (lead == 0xF0 && byte(1) < 0x90) || (lead == 0xF4 && byte(1) > 0x8F);
-  return wrong ? 0 : length;
-}
-
-std::string json_string(std::string_view text) {
-  std::string out = "\"";
-  while (!text.empty()) {
-    const std::size_t length = utf8_length(text);
-    const char c = text.front();
-    if (length != 1) {
-      // What is no text (a file's name may be anything) is shown as such.
-      out += length == 0 ? std::string_view("\\ufffd") : text.substr(0, length);
-      text.remove_prefix(std::max<std::size_t>(1, length));
-      continue;
-    }
-    text.remove_prefix(1);
-    if (c == '"' || c == '\\') out += '\\';
-    if (static_cast<unsigned char>(c) < 0x20) {
-      out += fmt::format("\\u{:04x}", static_cast<unsigned>(c));
-    } else {
-      out += c;
-    }
-  }
-  return out + '"';
-}
-
-std::string json_statistics(const Statistics& s) {
-  return fmt::format(R"({{"median": {:.4f}, "p95": {:.4f}, "p99": {:.4f}, "max": {:.4f}, "mean": {:.4f}}})", s.median,
-                     s.p95, s.p99, s.max, s.mean);
-}
-
-std::string json_list(const std::vector<std::string>& items) {
-  std::string out = "[";
-  for (const std::string& item : items) out += (out.size() > 1 ? ",\n    " : "\n    ") + item;
-  return out + (items.empty() ? "]" : "\n  ]");
-}
-
-/// What was late, dropped and shed, and why.
-std::string json_scheduler(const PipelineCounters& p) {
-  const SchedulerCounters& c = p.scheduler;
-  std::string reasons, seconds;
-  for (std::size_t i = 0; i < kRungReasons; ++i) {
-    reasons +=
-        fmt::format(R"({}"{}": {})", i > 0 ? ", " : "", rung_reason_name(static_cast<RungReason>(i)), c.by_reason[i]);
-  }
-  for (std::size_t i = 0; i < kRungs; ++i) {
-    seconds += fmt::format(R"({}"{}": {:.3f})", i > 0 ? ", " : "", rung_name(static_cast<Rung>(i)),
-                           rt::to_seconds(c.time_on_rung_ns[i]));
-  }
-  return fmt::format(
-      R"({{"late": {}, "dropped": {}, "rungs_down": {}, "rungs_up": {}, "reasons": {{{}}}, "seconds_on_rung": {{{}}}, )"
-      R"("rung": "{}", "detections": {}, "detections_failed": {}, "detections_late": {}, "detector_stuck": {}, )"
-      R"("keyframes_undetected": {}}})",
-      c.slips, c.dropped, c.steps_down, c.steps_up, reasons, seconds, rung_name(p.rung), c.detections,
-      c.detections_failed, c.detections_late, c.detector_stuck, c.keyframes_undetected);
 }
 
 std::string frames_header() {
@@ -151,7 +82,7 @@ rt::Result<void> RunWriter::open(const std::string& folder, bool with_age) {
   fs::create_directories(folder, error);
   if (error) return rt::Error{folder + ": cannot be created: " + error.message()};
   const fs::path root(folder);
-  const std::pair<AtomicFile*, const char*> files[] = {
+  const std::pair<hal::AtomicFile*, const char*> files[] = {
       {&trajectory_, "trajectory.tum"}, {&frames_, "frames.csv"}, {&poses_, "pose.csv"}, {&summary_, "summary.json"}};
   for (const auto& [file, name] : files) {
     auto opened = file->open(root / name);
@@ -247,10 +178,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
 void RunWriter::event(const rt::LogEntry& e) {
   clock_.heard(e.t_ns);
   if (++events_seen_ > kEventsKept) return;
-  events_.push_back(fmt::format(
-      R"({{"t": {:.3f}, "what": {}, "before": {}, "which": {}, "why": {}, "value": {:.6g}, "limit": {:.6g}}})",
-      rt::to_seconds(e.t_ns - clock_.first_ns()), json_string(e.what), json_string(e.before), json_string(e.which),
-      json_string(e.why), e.value, e.limit));
+  events_.push_back(e);
 }
 
 RunSummary RunWriter::summary() const {
@@ -278,59 +206,14 @@ RunSummary RunWriter::summary() const {
 }
 
 rt::Result<void> RunWriter::finish(const RunDescription& d) {
-  const RunSummary s = summary();
-  const bool found = s.first_pose_frames >= 0;
-  const std::string null = "null";
-  std::string j = "{\n";
-  const auto line = [&](const char* key, const std::string& value) { j += fmt::format("  \"{}\": {},\n", key, value); };
-  line("version", json_string(d.version));
-  line("sequence", json_string(d.sequence));
-  line("mode", json_string(d.mode));
-  line("pace", json_string(d.pace));
-  line("start", std::to_string(d.start));
-  line("frames", std::to_string(s.counters.due));
-  line("processed", std::to_string(s.counters.processed));
-  line("bad_pictures", std::to_string(s.counters.bad));
-  line("dropped_no_slot", std::to_string(s.counters.dropped_slots));
-  line("dropped_late", std::to_string(s.counters.dropped_late));
-  line("tracked", std::to_string(s.tracked));
-  line("tracked_share", fmt::format("{:.6f}", s.tracked_share));
-  line("tracked_share_after_first_pose", found ? fmt::format("{:.6f}", s.tracked_share_after_first) : null);
-  line("maps", std::to_string(s.maps));
-  line("first_pose_after_frames", found ? std::to_string(s.first_pose_frames) : null);
-  line("first_pose_after_ms", found ? fmt::format("{:.3f}", s.first_pose_ms) : null);
-  line("ms", json_statistics(s.ms));
-  line("thread_cpu_ms", json_statistics(s.thread_cpu_ms));
-  line("proc_cpu_ms", json_statistics(s.proc_cpu_ms));
-  line("pictures_hz", fmt::format("{:.3f}", s.pictures_hz));
-  line("poses_hz", fmt::format("{:.3f}", s.poses_hz));
-  if (!d.link.empty()) line("link", d.link);
-  if (with_age_) {
-    line("age_ms", json_statistics(s.age_ms));
-    line("scheduler", json_scheduler(pipeline_));
-  }
-  line("events", json_list(events_));
-  line("events_not_kept", std::to_string(events_seen_ - events_.size() + pipeline_.events_lost));
-  if (const auto& imu = pipeline_.imu) {
-    line("imu",
-         fmt::format(R"({{"samples": {}, "gaps": {}, "faults": {}, "implausible": {}, "dropped": {}, "silences": {}}})",
-                     imu->samples, imu->gaps, imu->faults, imu->implausible, imu->dropped, imu->silences));
-  }
-  line("records_lost", std::to_string(pipeline_.records_lost));
-  std::vector<std::string> threads;
-  for (const ThreadReport& t : pipeline_.threads) {
-    threads.push_back(fmt::format(R"({{"name": {}, "minor_faults": {}, "major_faults": {}, "stack_kb": {}}})",
-                                  json_string(t.name), t.faults.minor, t.faults.major, t.stack_used / 1024));
-  }
-  line("threads", json_list(threads));
-  j += fmt::format("  \"peak_memory_mb\": {:.1f}\n}}\n", peak_memory_mb());
-  auto written = summary_.write(j);
+  auto written = summary_.write(
+      summary_json(d, summary(), pipeline_, {events_, events_seen_ - events_.size(), clock_.first_ns(), with_age_}));
   // All to the disk before the first gets its name: a disk that fills up at the second would leave one file of a failed
   // run behind.
-  for (AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
+  for (hal::AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
     if (written.ok()) written = file->flush();
   }
-  for (AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
+  for (hal::AtomicFile* file : {&trajectory_, &frames_, &poses_, &summary_}) {
     if (written.ok()) written = file->commit();
   }
   return written;

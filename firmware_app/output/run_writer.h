@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "firmware_app/output/atomic_file.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/pipeline/pipeline.h"
+#include "hal/atomic_file.h"
 
 namespace godwit::app {
 
@@ -66,7 +66,7 @@ class RunWriter final : public FrameSink {
   static constexpr std::size_t kReasonsKept = 5;
   static constexpr std::size_t kEventsKept = 1000;
 
-  AtomicFile trajectory_, frames_, poses_, summary_;
+  hal::AtomicFile trajectory_, frames_, poses_, summary_;
   std::string line_;
   bool with_age_ = false;
   vo::State state_ = vo::State::kInitialising;  ///< of the last processed frame: what holds while pictures are missing
@@ -77,7 +77,7 @@ class RunWriter final : public FrameSink {
   std::int64_t first_pose_frames_ = -1;
   rt::TimeNs first_t_ns_ = -1, last_t_ns_ = -1, first_pose_t_ns_ = -1;
   std::vector<double> ms_, thread_cpu_ms_, proc_cpu_ms_, age_ms_;
-  std::vector<std::string> events_;  ///< as JSON
+  std::vector<rt::LogEntry> events_;
   EventClock clock_;
   std::uint64_t events_seen_ = 0;
   std::vector<std::string> bad_reasons_;

@@ -10,8 +10,8 @@
 #include <opencv2/imgcodecs.hpp>
 #include <vector>
 
-#include "firmware_app/output/atomic_file.h"
 #include "firmware_app/output/progress_bar.h"
+#include "hal/atomic_file.h"
 #include "hal/sim/sim_baro.h"
 
 namespace godwit::app {
@@ -20,7 +20,7 @@ namespace {
 constexpr double kTruthHz = 200;
 
 rt::Result<void> write_text(const std::string& file, std::string_view text) {
-  AtomicFile out;
+  hal::AtomicFile out;
   if (auto r = out.open(file); !r) return r;
   if (auto r = out.write(text); !r) return r;
   return out.commit();

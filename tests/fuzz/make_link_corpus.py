@@ -15,7 +15,7 @@ LINK_TYPES = ["uavcan.tunnel.Targetted", "uavcan.protocol.param.GetSet", "uavcan
               "uavcan.protocol.RestartNode", "uavcan.equipment.safety.ArmingStatus",
               "uavcan.equipment.range_sensor.Measurement", "uavcan.equipment.ahrs.RawIMU",
               "uavcan.equipment.air_data.StaticPressure", "uavcan.protocol.GlobalTimeSync",
-              "uavcan.protocol.file.BeginFirmwareUpdate"]
+              "uavcan.protocol.file.BeginFirmwareUpdate", "uavcan.protocol.NodeStatus"]
 
 
 def write(folder, name, data):
@@ -56,14 +56,21 @@ def main():
             value.target_node, value.serial_id = 42, 0
             value.buffer = stream[:120]
         payload = bytes(peer.transport.Transfer(payload=value, source_node_id=10, dest_node_id=42, service_not_message=False).payload)
-        write(os.path.join(root, "fuzz_link"), name, bytes([index, len(payload)]) + payload)
+        write(os.path.join(root, "fuzz_link"), name, bytes([index, 0, len(payload)]) + payload)
     tunnel = dronecan.TYPENAMES["uavcan.tunnel.Targetted"]
     data = b""
     for i in range(0, min(len(stream), 1200), 120):
         value = tunnel(target_node=42, serial_id=0, buffer=stream[i:i + 120])
         payload = bytes(peer.transport.Transfer(payload=value, source_node_id=10).payload)
-        data += bytes([0, len(payload)]) + payload
+        data += bytes([0, 0, len(payload)]) + payload
     write(os.path.join(root, "fuzz_link"), "tunnel_stream", data)
+    # The same by several nodes, every second transfer sent together with the next.
+    pieces, at = [], 0
+    while at < len(data):
+        pieces.append(data[at + 2:at + 3 + data[at + 2]])
+        at += 3 + data[at + 2]
+    mixed = b"".join(bytes([0x20 * (i % 2 == 0), i % 6]) + piece for i, piece in enumerate(pieces))
+    write(os.path.join(root, "fuzz_link"), "several_nodes", mixed)
     return 0
 
 

@@ -145,7 +145,7 @@ TEST_F(StorageTest, PipesAndPlantedLinksNeitherHoldNorLead) {
   EXPECT_EQ(state.value().warnings.size(), 1u);
   const std::string victim = folder + "/victim";
   std::ofstream(victim) << "precious";
-  std::filesystem::create_symlink(victim, folder + "/link_reset_counter.txt.new");
+  std::filesystem::create_symlink(victim, folder + "/link_reset_counter.txt.part");
   StorageRequest request;
   request.kind = StorageRequest::Kind::kReserveResets;
   EXPECT_TRUE(save(storage, request));

@@ -7,10 +7,12 @@
 
 #include "hal/rt/result.h"
 
-namespace godwit::app {
+namespace godwit::hal {
 
 /// Writes to NAME.part and renames to NAME in commit(). Whatever goes wrong before (full disk, no right to write, the
-/// process killed) leaves no NAME. The destructor removes an uncommitted NAME.part. One thread.
+/// process killed, a power cut) leaves no NAME, or the one that there was. What a killed run left as NAME.part is taken
+/// over, what another run writes is not; a link that somebody laid there goes, not what it leads to. The destructor
+/// removes an uncommitted NAME.part. One thread.
 class AtomicFile {
  public:
   AtomicFile() = default;
@@ -23,7 +25,7 @@ class AtomicFile {
   rt::Result<void> write(std::string_view text);
   /// Brings everything to the disk, still as NAME.part. What can fail for want of room fails here.
   rt::Result<void> flush();
-  /// Flushes and gives the file its name.
+  /// Flushes, gives the file its name, and brings the name to the disk.
   rt::Result<void> commit();
 
   const std::string& file() const { return file_; }
@@ -36,4 +38,4 @@ class AtomicFile {
   std::FILE* out_ = nullptr;
 };
 
-}  // namespace godwit::app
+}  // namespace godwit::hal

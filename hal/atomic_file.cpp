@@ -1,4 +1,4 @@
-#include "firmware_app/output/atomic_file.h"
+#include "hal/atomic_file.h"
 
 #include <cerrno>
 #include <cstring>
@@ -7,7 +7,20 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-namespace godwit::app {
+namespace godwit::hal {
+namespace {
+
+/// The name itself is data of its folder. A file system that cannot do this loses no more than the name.
+void sync_folder_of(const std::string& file) {
+  const std::size_t slash = file.rfind('/');
+  const std::string folder = slash == std::string::npos ? "." : file.substr(0, slash + 1);
+  const int fd = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (fd < 0) return;
+  fsync(fd);
+  close(fd);
+}
+
+}  // namespace
 
 AtomicFile::~AtomicFile() {
   if (out_ == nullptr) return;
@@ -27,10 +40,10 @@ rt::Error AtomicFile::fail(const char* doing) {
 
 rt::Result<void> AtomicFile::open(const std::string& file) {
   file_ = file;
-  // What a killed run left is taken over, what another run writes is not; a link that somebody laid is not followed.
+  struct stat about {};
+  if (lstat(part().c_str(), &about) == 0 && S_ISLNK(about.st_mode)) unlink(part().c_str());
   const int fd = ::open(part().c_str(), O_WRONLY | O_CREAT | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
   if (fd < 0) return fail("cannot be created");
-  struct stat about {};
   const char* why = nullptr;
   if (fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "is no plain file";
   if (why == nullptr && flock(fd, LOCK_EX | LOCK_NB) != 0) why = "another run writes it";
@@ -66,7 +79,8 @@ rt::Result<void> AtomicFile::commit() {
   std::FILE* const done = out_;
   out_ = nullptr;
   if (std::fclose(done) != 0) return fail("cannot be closed");
+  sync_folder_of(file_);
   return {};
 }
 
-}  // namespace godwit::app
+}  // namespace godwit::hal
