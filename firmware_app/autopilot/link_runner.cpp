@@ -89,7 +89,11 @@ const link::LinkStatus& LinkRunner::finish() {
 }
 
 void LinkRunner::frame_done(const FrameRecord& record) {
-  service_->publish(sampler_.sample(record));
+  if (PoseSampler::nothing_new(record)) {
+    service_->picture_repeated();
+  } else {
+    service_->publish(sampler_.sample(record));
+  }
   camera_silent_.store(false, std::memory_order_relaxed);
   t_tracker_alive_ns_.store(rt::monotonic_now_ns(), std::memory_order_relaxed);
 }

@@ -21,6 +21,11 @@ class PoseSampler {
  public:
   explicit PoseSampler(const Eigen::Matrix3d& R_world_map) : R_world_map_(R_world_map) {}
 
+  /// Of a picture that is the one before, bit for bit, there is nothing to tell while the state stands: it claims a
+  /// pose, and this frame has none. sample() is not to be given it.
+  static bool nothing_new(const FrameRecord& record) {
+    return record.repeated && !record.has_pose && vo::claims_pose(record.state);
+  }
   /// Frames in the order of their capture, processed ones only. Where the record is not metric, lengths are the map's,
   /// neither scale nor gravity is known, and the sample says so.
   ///

@@ -105,11 +105,17 @@ rt::Result<link::TiltTest> guide(link::LinkService* service, AttitudeTap* ours, 
   return test;
 }
 
+/// Where another node than the one that is configured speaks through a tunnel: that it is likely the autopilot.
+std::string other_node(const Config& config, const BusHeard& heard) {
+  if (heard.tunnels.empty() || heard.tunnels.count(config.can.autopilot_node) > 0) return {};
+  return fmt::format("Is the autopilot node {0}? Then set can.autopilot_node {0}. Else: ", *heard.tunnels.begin());
+}
+
 }  // namespace
 
 std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const hal::CameraCalibration& calibration,
-                                                     std::optional<int> viso_delay_ms, DoctorReport* report,
-                                                     const std::atomic<bool>& stop) {
+                                                     const BusHeard& heard, std::optional<int> viso_delay_ms,
+                                                     DoctorReport* report, const std::atomic<bool>& stop) {
   link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
   settings.link.patience.first_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
   settings.link.mavlink.attitude_hz = 20;
@@ -129,15 +135,14 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   while (running(give_up) && !node.endpoint().autopilot_alive(rt::monotonic_now_ns())) step(service.get());
   const bool through_bus = config.link.mavlink.empty();
   if (!node.endpoint().autopilot_alive(rt::monotonic_now_ns())) {
-    if (through_bus && node.status().bus.received == 0) {
-      report->wrong("bus: not a frame of anybody came in 5 s: wiring, termination, bit rate, or nobody else is on it");
-    }
     report->wrong(
-        through_bus ? fmt::format("autopilot: no HEARTBEAT through the tunnel in 5 s. Is its node id {} (can.autopilot_"
-                                  "node, CAN_D1_UC_NODE)? Set CAN_P1_DRIVER 1, CAN_D1_PROTOCOL 1, CAN_D1_UC_SER_EN 1, "
+        through_bus ? fmt::format("autopilot: no HEARTBEAT through the tunnel in 5 s from node {} (can.autopilot_node, "
+                                  "CAN_D1_UC_NODE); nodes on the bus: {}. {}Set CAN_P1_DRIVER 1, CAN_D1_PROTOCOL 1, "
+                                  "CAN_D1_UC_SER_EN 1, "
                                   "restart it, then CAN_D1_UC_S1_NOD {}, CAN_D1_UC_S1_IDX {}, CAN_D1_UC_S1_PRO 2, "
                                   "and restart it again: serial ports over CAN are made at its start",
-                                  config.can.autopilot_node, config.can.node_id, config.can.serial_index)
+                                  config.can.autopilot_node, node_words(heard), other_node(config, heard),
+                                  config.can.node_id, config.can.serial_index)
                     : "autopilot: no HEARTBEAT on " + config.link.mavlink + " in 5 s: wiring, baud rate, port");
     return service;
   }
@@ -156,20 +161,19 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   looked_for.through_tunnel = through_bus;
   looked_for.t_body_cam = settings.link.odometry.t_body_cam;
   looked_for.viso_delay_ms = viso_delay_ms;
+  looked_for.submarine = node.endpoint().vehicle_type() == link::mavlink::Heartbeat::kTypeSubmarine;
   const std::vector<link::Finding> findings = link::diagnose(reader.values(), looked_for);
+  bool all_fit = true;
   for (const link::Finding& finding : findings) {
-    report->wrong("autopilot: " + std::string(severity_text(finding.severity)) + finding.words);
+    const std::string words = "autopilot: " + std::string(severity_text(finding.severity)) + finding.words;
+    if (finding.severity == link::Severity::kNote) {
+      report->note(words);
+    } else {
+      report->wrong(words);
+      all_fit = false;
+    }
   }
-  if (findings.empty()) {
-    report->fits(fmt::format("autopilot: its {} parameters fit", reader.values().size()));
-  }
-  const auto third = reader.values().find("EK3_SRC3_POSXY");
-  constexpr double kExternalNav = 6;
-  if (third == reader.values().end() || third->second != kExternalNav) {
-    report->note(
-        "source set 3 does not take vision: a switch of two positions (RCx_OPTION 90) selects sets 1 and 3, so "
-        "take one of three, or fill set 3 like set 2");
-  }
+  if (all_fit) report->fits(fmt::format("autopilot: its {} parameters fit", reader.values().size()));
   if (!viso_delay_ms) {
     report->note("VISO_DELAY_MS was not compared: fly or replay once, then give what it told by --delay-ms");
   }

@@ -10,10 +10,11 @@
 namespace godwit::app {
 
 /// Opens the link (which sends no pose), waits for an autopilot, reads the parameters that matter and says which do not
-/// fit. viso_delay_ms: as a flight told it; absent: not compared. Null where nothing could be opened.
+/// fit. heard: who is on the bus. viso_delay_ms: as a flight told it; absent: not compared. Null where nothing could be
+/// opened.
 std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const hal::CameraCalibration& calibration,
-                                                     std::optional<int> viso_delay_ms, DoctorReport* report,
-                                                     const std::atomic<bool>& stop);
+                                                     const BusHeard& heard, std::optional<int> viso_delay_ms,
+                                                     DoctorReport* report, const std::atomic<bool>& stop);
 
 /// Guides through the tilt test: the camera tracks in the background, the user moves the vehicle and presses Enter.
 /// Reads standard input.

@@ -56,17 +56,18 @@ int run_doctor(const DoctorArguments& a, const std::atomic<bool>& stop) {
                    camera.calibration.fps, &report);
   examine_imu("/", &report);
   examine_power("/", &report);
+  BusHeard heard;
   if (config.can.bus.empty()) {
     report.note("bus: none is configured (can.bus)");
   } else {
-    examine_bus(config, &report);
+    heard = examine_bus(config, &report);
   }
   std::unique_ptr<link::LinkService> service;
   if (!wants_link(config)) {
     report.wrong("autopilot: no way to it is configured: set can.bus or link.mavlink");
   } else {
     const auto delay = a.delay_ms < 0 ? std::nullopt : std::optional<int>(a.delay_ms);
-    service = examine_autopilot(config, camera.calibration, delay, &report, stop);
+    service = examine_autopilot(config, camera.calibration, heard, delay, &report, stop);
   }
   if (a.tilt && (service == nullptr || camera.camera == nullptr)) {
     report.wrong("tilt test: it needs a camera and an autopilot");

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "firmware_app/flight/scenario_folder.h"
+#include "firmware_app/link/dronecan/types.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
@@ -137,12 +138,13 @@ void examine_imu(const std::string& root, DoctorReport* report) {
                (list.empty() ? "none" : list));
 }
 
-void examine_bus(const Config& config, DoctorReport* report) {
+BusHeard examine_bus(const Config& config, DoctorReport* report) {
+  BusHeard heard;
   const std::string name = "bus " + config.can.bus;
   auto bus = hal::open_can(config.can.bus);
   if (!bus) {
     report->wrong(bus.error().message);
-    return;
+    return heard;
   }
   hal::CanBus& can = *bus.value();
   for (const std::string& advice : can.advice()) report->wrong(advice);
@@ -156,13 +158,17 @@ void examine_bus(const Config& config, DoctorReport* report) {
     report->wrong(name + ": can.fd is true, but the interface is not set to CAN FD (ip link set ... fd on)");
   }
   bool twice = false;
-  int frames = 0;
   const rt::TimeNs end = rt::monotonic_now_ns() + 1200 * rt::kNsPerMs;
-  for (rt::TimeNs now = 0; (now = rt::monotonic_now_ns()) < end && frames < 100'000;) {
+  for (rt::TimeNs now = 0; (now = rt::monotonic_now_ns()) < end && heard.frames < 100'000;) {
     can.maintain(now);
     hal::CanFrame frame;
-    while (can.receive(&frame) && ++frames < 100'000) {
-      twice = twice || (frame.extended && (frame.id & 0x7FU) == static_cast<std::uint32_t>(config.can.node_id));
+    while (can.receive(&frame) && ++heard.frames < 100'000) {
+      const auto node = static_cast<int>(frame.id & 0x7FU);
+      const bool message = frame.extended && node != 0 && (frame.id & 0x80U) == 0;
+      const std::uint32_t type = frame.id >> 8 & 0xFFFFU;
+      twice = twice || (frame.extended && node == config.can.node_id);
+      if (message && type == link::dronecan::NodeStatus::kType.id) heard.nodes.insert(node);
+      if (message && type == link::dronecan::TunnelTargetted::kType.id) heard.tunnels.insert(node);
     }
     pollfd event{can.descriptor(), POLLIN, 0};
     poll(&event, 1, 20);
@@ -172,11 +178,28 @@ void examine_bus(const Config& config, DoctorReport* report) {
         fmt::format("{}: somebody is there as node {} already: stop godwitd first (systemctl stop godwitd), or "
                     "change can.node_id",
                     name, config.can.node_id));
-  } else if (can.state() == hal::CanState::kActive || can.state() == hal::CanState::kWarning) {
-    report->fits(fmt::format("{}: open, {} frames of others in 1.2 s", name, frames));
-  } else {
+  } else if (can.state() != hal::CanState::kActive && can.state() != hal::CanState::kWarning) {
     report->wrong(name + ": no contact (down, off or error-passive): wiring, termination, bit rate");
+  } else if (heard.frames == 0) {
+    report->wrong(name +
+                  ": open, but not a frame of anybody came in 1.2 s: wiring, termination, bit rate, or nobody "
+                  "else is on it");
+  } else {
+    report->fits(
+        fmt::format("{}: open, {} frames of others in 1.2 s; nodes: {}", name, heard.frames, node_words(heard)));
   }
+  return heard;
+}
+
+std::string node_words(const BusHeard& heard) {
+  std::set<int> all = heard.nodes;
+  all.insert(heard.tunnels.begin(), heard.tunnels.end());
+  std::string out;
+  for (const int node : all) {
+    out += (out.empty() ? "" : ", ") + std::to_string(node);
+    if (heard.tunnels.count(node) > 0) out += " (speaks through a tunnel)";
+  }
+  return out.empty() ? "none" : out;
 }
 
 }  // namespace godwit::app

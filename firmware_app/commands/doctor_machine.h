@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <set>
 #include <string>
 
 #include "firmware_app/commands/doctor_report.h"
@@ -27,7 +28,18 @@ DoctorCamera examine_camera(const Config& config, const std::string& sequence, D
 /// what a test puts there.
 void examine_imu(const std::string& root, DoctorReport* report);
 
-/// Opens the bus, looks at the interface's settings, and listens for a second whether somebody else has our node id.
-void examine_bus(const Config& config, DoctorReport* report);
+/// Who was heard on the bus.
+struct BusHeard {
+  int frames = 0;
+  std::set<int> nodes;    ///< that told their NodeStatus
+  std::set<int> tunnels;  ///< that sent something through a tunnel
+};
+
+/// Opens the bus, looks at the interface's settings, and listens for a second who is there, and whether somebody else
+/// has our node id.
+BusHeard examine_bus(const Config& config, DoctorReport* report);
+
+/// "11 (speaks through a tunnel), 25", or "none".
+std::string node_words(const BusHeard& heard);
 
 }  // namespace godwit::app

@@ -67,9 +67,9 @@ class Journal final : public FrameSink {
 };
 
 void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
-  say(fmt::format("{} frames, {} tracked, {} bad, {} dropped, {} late; {} rungs down, {} up, now {}", c.due, tracked,
-                  c.bad, c.dropped_slots + c.dropped_late, c.scheduler.slips, c.scheduler.steps_down,
-                  c.scheduler.steps_up, rung_name(c.rung)));
+  say(fmt::format("{} frames, {} tracked, {} repeated, {} bad, {} dropped, {} late; {} rungs down, {} up, now {}",
+                  c.due, tracked, c.repeated, c.bad, c.dropped_slots + c.dropped_late, c.scheduler.slips,
+                  c.scheduler.steps_down, c.scheduler.steps_up, rung_name(c.rung)));
   if (detector) {
     const SchedulerCounters& s = c.scheduler;
     say(fmt::format("detector: {} detections, {} failed, {} late, {} times hung", s.detections, s.detections_failed,

@@ -1,6 +1,7 @@
 #include "firmware_app/link/doctor.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 
@@ -12,6 +13,9 @@ constexpr int kBarometer = 1;
 constexpr int kCompass = 1;
 constexpr double kMostPositionNoise = 1;  // [m]; ArduPilot's default is 0.2
 constexpr double kDelayToleranceMs = 5;
+constexpr int kRcChannels = 16;
+constexpr int kSourceSwitch = 90;  // RCx_OPTION: EKF source set
+constexpr std::array<const char*, 5> kSourceParts{"POSXY", "VELXY", "POSZ", "VELZ", "YAW"};
 constexpr rt::TimeNs kPatienceNs = 400 * rt::kNsPerMs;
 constexpr int kTries = 5;
 
@@ -42,6 +46,9 @@ class Examination {
     } else if (std::abs(*value(name) - wanted) > 1e-4) {
       add(severity, name, wanted, why);
     }
+  }
+  void note(const std::string& name, const std::string& words) {
+    findings.push_back({Severity::kNote, name, words, std::nullopt});
   }
   void unknown(const std::string& name) {
     findings.push_back({Severity::kUnknown, name,
@@ -85,7 +92,11 @@ void examine_visual_odometry(Examination* e, const DoctorConfig& config) {
                      : "a second of poses is dropped after each reset");
   }
   if (const auto quality = e->value("VISO_QUAL_MIN"); !quality) {
-    e->unknown("VISO_QUAL_MIN");
+    if (config.submarine) {
+      e->note("VISO_QUAL_MIN", "ArduSub 4.5 has no VISO_QUAL_MIN: poses that failed (quality -1) are fused there");
+    } else {
+      e->unknown("VISO_QUAL_MIN");
+    }
   } else if (*quality < 0) {
     e->add(Severity::kError, "VISO_QUAL_MIN", 10, "poses that failed (quality -1) are fused");
   } else if (*quality < 1 || *quality > 50) {
@@ -153,6 +164,23 @@ void examine_sources(Examination* e) {
   }
 }
 
+/// RCx_OPTION 90 selects set 1 low, 2 in the middle, 3 high. How many positions a switch has, no parameter tells.
+void examine_switch(Examination* e) {
+  bool same = true;
+  for (const char* what : kSourceParts) {
+    const auto second = e->value(std::string("EK3_SRC2_") + what), third = e->value(std::string("EK3_SRC3_") + what);
+    same = same && second && third && *second == *third;
+  }
+  for (int channel = 1; channel <= kRcChannels && !same; ++channel) {
+    const std::string name = "RC" + std::to_string(channel) + "_OPTION";
+    const auto option = e->value(name);
+    if (!option || *option != kSourceSwitch) continue;
+    e->note(name, name +
+                      " is 90, and source set 3 is not like set 2: a switch of two positions selects sets 1 and 3, "
+                      "never 2. Take one of three positions, or fill EK3_SRC3_* like EK3_SRC2_*.");
+  }
+}
+
 Eigen::Matrix3d rotation_of(const Eigen::Vector4d& q) {
   return Eigen::Quaterniond(q(0), q(1), q(2), q(3)).normalized().toRotationMatrix();
 }
@@ -185,9 +213,10 @@ const std::vector<std::string>& doctor_parameters() {
                                    "VISO_POS_Z",       "VISO_SCALE",       "VISO_ORIENT",      "VISO_POS_M_NSE",
                                    "AHRS_EKF_TYPE",    "EK3_ENABLE",       "EK3_SRC_OPTIONS"};
     for (const char* set : {"1", "2", "3"}) {
-      for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) {
-        names.push_back(std::string("EK3_SRC") + set + "_" + what);
-      }
+      for (const char* what : kSourceParts) names.push_back(std::string("EK3_SRC") + set + "_" + what);
+    }
+    for (int channel = 1; channel <= kRcChannels; ++channel) {
+      names.push_back("RC" + std::to_string(channel) + "_OPTION");
     }
     return names;
   }();
@@ -199,6 +228,7 @@ std::vector<Finding> diagnose(const std::map<std::string, double>& parameters, c
   if (config.through_tunnel) examine_can(&e, config);
   examine_visual_odometry(&e, config);
   examine_sources(&e);
+  examine_switch(&e);
   return std::move(e.findings);
 }
 

@@ -19,13 +19,15 @@ struct DoctorConfig {
   int serial_index = 0;        ///< VIO_SER_IDX
   bool through_tunnel = true;  ///< else over a serial line or network, and the bus' parameters do not matter
   Eigen::Vector3d t_body_cam = Eigen::Vector3d::Zero();
-  std::optional<int> viso_delay_ms;  ///< measured; absent: not yet
+  std::optional<int> viso_delay_ms;  ///< as the user gave it; absent: not compared
+  bool submarine = false;            ///< ArduSub, which has no VISO_QUAL_MIN up to 4.5
 };
 
 enum class Severity : std::uint8_t {
   kError,    ///< vision will not be used, or wrongly
   kWarning,  ///< it works, but not as it should
-  kUnknown   ///< the autopilot did not tell the value
+  kUnknown,  ///< the autopilot did not tell the value
+  kNote      ///< to be known; it may be right as it is
 };
 
 struct Finding {

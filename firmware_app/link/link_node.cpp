@@ -250,6 +250,7 @@ void LinkNode::fill_status(rt::TimeNs now_ns) {
   status_.armed = armed(now_ns);
   status_.autopilot_alive = endpoint_.autopilot_alive(now_ns);
   status_.reset_counter = resets_.value();
+  status_.pictures_repeated = watch_.repeated();
   status_.synchronised = endpoint_.time_sync().synchronised(now_ns);
   status_.round_trip_ms = rt::to_ms(endpoint_.time_sync().round_trip_ns());
   status_.reception = reassembler_.counters();

@@ -78,6 +78,7 @@ struct LinkStatus {
   std::uint64_t poses_stale = 0;  ///< given to us late, twice or from the future; never sent as good
   /// Passed over for a newer one: the camera is faster than VIO_RATE, or poses came bunched.
   std::uint64_t poses_paced = 0;
+  std::uint64_t pictures_repeated = 0;  ///< the one before, bit for bit: nothing was sent for them
   TxCounters tx;
   dronecan::ReassemblyCounters reception;
   hal::CanCounters bus;
@@ -110,6 +111,8 @@ class LinkNode {
   rt::TimeNs t_silence_ns() const { return watch_.t_silence_ns(); }
   /// Tracker thread: a picture is being worked on from now on. Its pose may be late, and that is no silence.
   void frame_begun(rt::TimeNs now_ns) { watch_.frame_begun(now_ns); }
+  /// Tracker thread: it was the picture before once more, and the odometry's state stands. The autopilot hears nothing.
+  void picture_repeated(rt::TimeNs now_ns) { watch_.picture_repeated(now_ns); }
   /// Any thread: send SET_GPS_GLOBAL_ORIGIN at the next step.
   void request_origin() { origin_requested_.store(true, std::memory_order_relaxed); }
   /// RestartNode was asked for, granted and answered: end the process so that systemd starts it anew.

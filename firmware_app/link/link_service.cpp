@@ -3,14 +3,13 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
 #include <utility>
 
 #include "firmware_app/link/saved_parameters.h"
+#include "hal/machine/machine_id.h"
 
 namespace godwit::link {
 
@@ -41,14 +40,9 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
     config.mavlink.local_position_hz = config.mavlink.global_position_hz = 0;
   }
   if (config.identity.unique_id == dronecan::UniqueId{}) {
-    std::ifstream file("/etc/machine-id");
-    const std::string machine_id(std::istreambuf_iterator<char>(file), {});
-    if (machine_id.empty()) {
-      return rt::Error{
-          "link: /etc/machine-id is missing or empty, so this node has no stable unique id; "
-          "systemd-machine-id-setup makes one"};
-    }
-    config.identity.unique_id = dronecan::unique_id_from(machine_id);
+    const auto id = hal::machine_id();
+    if (!id.ok()) return rt::Error{"link: no unique id for this node: " + id.error().message};
+    config.identity.unique_id = id.value();
   }
   self->wake_fd_ = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
   if (self->wake_fd_ < 0) return rt::Error{"link: eventfd: " + std::string(std::strerror(errno))};

@@ -17,7 +17,7 @@ struct LinkSettings {
   /// Somebody calls take_input(); else nothing is collected, and of the autopilot's messages only its attitude is asked
   /// for, which the link itself reads.
   bool collect_inputs = false;
-  LinkConfig link;                      ///< identity.unique_id all zeros: made from /etc/machine-id
+  LinkConfig link;                      ///< identity.unique_id all zeros: that of this computer
   bool wait_for_bus = false;            ///< an interface that is not there yet is looked for, not refused
   DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
@@ -38,6 +38,8 @@ class LinkService {
   void publish(const PoseSample& sample);
   /// The same thread: it begins to work on a picture.
   void frame_begun() { node_->frame_begun(rt::monotonic_now_ns()); }
+  /// The same thread: its picture was the one before, bit for bit, and the state stands.
+  void picture_repeated() { node_->picture_repeated(rt::monotonic_now_ns()); }
   /// One other thread, whoever watches the machine.
   void publish(const SystemHealth& health) { health_.write(health); }
   /// The pipeline: what the autopilot told, oldest first; false where nothing waits.

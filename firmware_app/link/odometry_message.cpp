@@ -84,8 +84,10 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
   const Eigen::Matrix3d L = local_from_world(config);
   const Eigen::Matrix3d R_world_body = R_world_cam * config.R_body_cam.transpose();
   const Eigen::Matrix3d R_local_body = L * R_world_body;
-  // The body's origin seen from the camera, along world axes.
-  const Eigen::Vector3d arm = R_world_cam * (-config.R_body_cam.transpose() * config.t_body_cam);
+  // The body's origin seen from the camera, along world axes. A map without scale (bench_metric) is in units of its
+  // own, the arm in metres: they do not go together, and the camera stands for the body.
+  const Eigen::Vector3d t_body_cam = s.has_scale ? config.t_body_cam : Eigen::Vector3d::Zero().eval();
+  const Eigen::Vector3d arm = R_world_cam * (-config.R_body_cam.transpose() * t_body_cam);
 
   Eigen::Quaterniond q = Eigen::Quaterniond(R_local_body).normalized();
   if (q.w() < 0) q.coeffs() = -q.coeffs();

@@ -25,8 +25,9 @@ struct OdometryConfig {
   Eigen::Vector3d t_body_cam = Eigen::Vector3d::Zero();
   /// Heading of the world's x axis, clockwise from north [rad]; for the px4 profile, whose frame points north.
   double world_heading_rad = 0;
-  bool inertial = false;      ///< an IMU takes part: estimator type VIO instead of VISION
-  bool bench_metric = false;  ///< replay only: take scale and gravity as known
+  bool inertial = false;  ///< an IMU takes part: estimator type VIO instead of VISION
+  /// Replay only: take scale and gravity as known. Where the scale is not, t_body_cam is left out: it is in metres.
+  bool bench_metric = false;
 };
 
 /// Pose in the profile's frames, before it becomes a message; also what the telemetry frames carry. Always finite.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstdint>
 
 #include "hal/rt/time.h"
 
@@ -19,7 +20,7 @@ struct PosePatience {
   rt::TimeNs first_ns = 3 * rt::kNsPerSecond;
 };
 
-/// The link thread's, but for frame_begun().
+/// The link thread's, but for frame_begun() and picture_repeated().
 class PoseWatch {
  public:
   explicit PoseWatch(const PosePatience& patience) : patience_(patience) {}
@@ -32,21 +33,33 @@ class PoseWatch {
   }
   /// Tracker thread: a picture is being worked on from now on.
   void frame_begun(rt::TimeNs now_ns) { t_begun_ns_.store(now_ns, std::memory_order_relaxed); }
+  /// Tracker thread: the picture is the one before, bit for bit, which is no loss as long as the odometry's state
+  /// stands (vo::HealthOptions::frozen_ns): nothing is told, and that is no silence.
+  void picture_repeated(rt::TimeNs now_ns) {
+    t_repeated_ns_.store(now_ns, std::memory_order_relaxed);
+    repeated_.fetch_add(1, std::memory_order_relaxed);
+  }
+  std::uint64_t repeated() const { return repeated_.load(std::memory_order_relaxed); }
 
   bool any() const { return any_; }
   /// When the poses that do not come become an error.
   rt::TimeNs t_silence_ns() const {
-    const rt::TimeNs t = t_last_ns_ + (any_ ? patience_.silence_ns : patience_.first_ns);
+    if (!any_) return t_last_ns_ + patience_.first_ns;
+    const rt::TimeNs heard = std::max(t_last_ns_, t_repeated_ns_.load(std::memory_order_relaxed));
+    const rt::TimeNs t = heard + patience_.silence_ns;
     const rt::TimeNs begun = t_begun_ns_.load(std::memory_order_relaxed);
-    return any_ && begun > t_last_ns_ && begun < t ? std::max(t, begun + patience_.late_ns) : t;
+    return begun > heard && begun < t ? std::max(t, begun + patience_.late_ns) : t;
   }
   bool stalled(rt::TimeNs now_ns) const { return now_ns >= t_silence_ns(); }
 
  private:
   const PosePatience patience_;
   bool any_ = false;
-  rt::TimeNs t_last_ns_ = 0;               ///< arrival of the newest good sample
-  std::atomic<rt::TimeNs> t_begun_ns_{0};  // tracker -> link thread; relaxed, a time alone
+  rt::TimeNs t_last_ns_ = 0;  ///< arrival of the newest good sample
+  // Tracker -> link thread; relaxed, each stands for itself.
+  std::atomic<rt::TimeNs> t_begun_ns_{0};
+  std::atomic<rt::TimeNs> t_repeated_ns_{0};
+  std::atomic<std::uint64_t> repeated_{0};
 };
 
 }  // namespace godwit::link

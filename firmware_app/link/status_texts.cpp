@@ -1,5 +1,6 @@
 #include "firmware_app/link/status_texts.h"
 
+#include <algorithm>
 #include <cstdio>
 
 namespace godwit::link {
@@ -53,9 +54,12 @@ std::optional<StatusLine> StatusTexts::of_latency(const LatencySummary& l, bool 
   t_next_latency_ns_ = now_ns + kLatencyPeriodNs;
   StatusLine line;
   line.severity = growth ? mavlink::StatusText::kWarning : mavlink::StatusText::kInfo;
-  std::snprintf(line.text.data(), line.text.size(), "VIO %s p50 %d p99 %d ms, VISO_DELAY_MS %d",
-                growth ? "LATENCY GREW" : "latency", static_cast<int>(l.p50_ms), static_cast<int>(l.p99_ms),
-                l.viso_delay_ms);
+  // 50 characters at most with three digits each, so that the delay to set is never cut.
+  const auto figure = [](double ms) { return static_cast<int>(std::min(ms, 999.0)); };
+  std::snprintf(
+      line.text.data(), line.text.size(),
+      growth ? "VIO LATENCY GREW p50 %d p99 %d VISO_DELAY_MS %d" : "VIO latency p50 %d p99 %d ms, VISO_DELAY_MS %d",
+      figure(l.p50_ms), figure(l.p99_ms), l.viso_delay_ms);
   return line;
 }
 

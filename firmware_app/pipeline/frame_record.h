@@ -79,6 +79,7 @@ struct FrameRecord {
   FrameFate fate = FrameFate::kProcessed;
   bool tracked = false;   ///< at least 30 image measurements updated the pose
   bool has_pose = false;  ///< a pose was given out: tracked or coasted
+  bool repeated = false;  ///< the picture is the one before, bit for bit: nothing was measured, the state stands
   bool is_keyframe = false;
   bool map_moved = false;  ///< a bundle adjustment moved the map before this frame
   /// By that the last frame's camera moved in the world, and turned (rotation vector along world axes).

@@ -116,6 +116,7 @@ class OdometryStage final : public FrameStage {
     record->fate = FrameFate::kProcessed;
     record->tracked = result.tracked;
     record->has_pose = result.tracked || result.state == vo::State::kCoasting;
+    record->repeated = result.repeated;
     record->is_keyframe = result.is_keyframe;
     record->keyframe_reason = vo::keyframe_reason_name(result.keyframe_reason);
     record->map_moved = result.map_moved;

@@ -16,6 +16,7 @@ void count(const FrameRecord& record, PipelineCounters* counters) {
   switch (record.fate) {
     case FrameFate::kProcessed:
       ++counters->processed;
+      if (record.repeated) ++counters->repeated;
       break;
     case FrameFate::kBadPicture:
       ++counters->bad;

@@ -98,6 +98,7 @@ struct ThreadReport {
 struct PipelineCounters {
   std::uint64_t due = 0;        ///< pictures that were due
   std::uint64_t processed = 0;  ///< went through the tracker
+  std::uint64_t repeated = 0;   ///< of these: the picture before once more, bit for bit
   std::uint64_t bad = 0;        ///< see FrameFate
   std::uint64_t dropped_slots = 0;
   std::uint64_t dropped_late = 0;

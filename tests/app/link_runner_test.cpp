@@ -16,7 +16,7 @@ class LinkRunnerTest : public ::testing::Test {
     options.settings.can = "multicast:7:127.0.0.1";
     // ctest runs these tests beside each other, and each is one node on the same bus: two of one id would be an error.
     options.settings.link.parameters[static_cast<std::size_t>(link::Parameter::kNodeId)] = 20 + getpid() % 100;
-    options.settings.link.identity.unique_id = link::dronecan::unique_id_from("link_runner_test");
+    options.settings.link.identity.unique_id = {1, 2, 3};
     options.heartbeats = &heartbeats_;
     options.settings.link.heartbeats = &heartbeats_;
     options.log = [this](LinkLogLevel, const std::string&) {
@@ -104,6 +104,26 @@ TEST_F(LinkRunnerTest, AKeeperThatHangsIsNamedAndKeepsNoEndAway) {
   const auto condition = last_condition();
   EXPECT_EQ(abandoned_, "gw-link-keep");
   EXPECT_EQ(condition.reasons & link::kProcessFailed, link::kProcessFailed);
+}
+
+TEST_F(LinkRunnerTest, ARepeatedPictureIsNotPublishedAndCounted) {
+  const auto publish = [this](bool repeated) {
+    FrameRecord record;
+    record.state = vo::State::kTracking;
+    record.repeated = repeated;
+    record.has_pose = !repeated;
+    record.t_capture_ns = rt::monotonic_now_ns() - rt::kNsPerMs;
+    record.q_world_cam = {0, 0, 0, 1};
+    runner_->frame_done(record);
+    rt::sleep_until_ns(rt::monotonic_now_ns() + 10 * rt::kNsPerMs);
+  };
+  publish(false);
+  for (int i = 0; i < 5; ++i) publish(true);
+  const link::LinkStatus& status = runner_->finish();
+  EXPECT_EQ(status.pictures_repeated, 5u);
+  bool told = false;
+  for (const std::string& line : link_report(status)) told = told || line.starts_with("5 pictures were the one before");
+  EXPECT_TRUE(told);
 }
 
 TEST_F(LinkRunnerTest, AfterASilenceTheReasonsGo) {

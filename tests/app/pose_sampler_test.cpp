@@ -60,6 +60,20 @@ TEST(PoseSampler, TheStateTravelsAsItIs) {
   }
 }
 
+TEST(PoseSampler, ARepeatedPictureIsNothingNewWhileTheStateStands) {
+  FrameRecord record = record_at(0, {});
+  record.repeated = true;
+  record.has_pose = record.tracked = false;
+  using S = vo::State;
+  for (const S state : {S::kInitialising, S::kTracking, S::kCoasting, S::kRelocalising, S::kLost}) {
+    record.state = state;
+    EXPECT_EQ(PoseSampler::nothing_new(record), vo::claims_pose(state)) << vo::state_name(state);
+  }
+  record.state = S::kTracking;
+  record.repeated = false;
+  EXPECT_FALSE(PoseSampler::nothing_new(record)) << "a pose that is missing is told";
+}
+
 TEST(PoseSampler, TheMapsFirstViewIsALevelBody) {
   PoseSampler sampler(world_of_level_start(mounting()));
   const link::PoseSample s = sampler.sample(record_at(0, {}));

@@ -13,7 +13,7 @@ import time
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from checks import check, run_cases  # noqa: E402
-from emulated_autopilot import EmulatedAutopilot, RawMulticast, dronecan, mavlink, uavcan  # noqa: E402
+from emulated_autopilot import AUTOPILOT_NODE, EmulatedAutopilot, RawMulticast, dronecan, mavlink, uavcan  # noqa: E402
 
 GOOD = {"CAN_P1_DRIVER": 1, "CAN_D1_PROTOCOL": 1, "CAN_D1_UC_SER_EN": 1, "CAN_D1_UC_S1_NOD": 42, "CAN_D1_UC_S1_IDX": 0,
         "CAN_D1_UC_S1_PRO": 2, "CAN_D1_UC_S1_BD": 921, "VISO_TYPE": 3, "VISO_DELAY_MS": 20, "VISO_QUAL_MIN": 10,
@@ -22,6 +22,8 @@ GOOD = {"CAN_P1_DRIVER": 1, "CAN_D1_PROTOCOL": 1, "CAN_D1_UC_SER_EN": 1, "CAN_D1
 for source, value in (("1", 3), ("2", 6), ("3", 0)):
     for what in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW"):
         GOOD["EK3_SRC%s_%s" % (source, what)] = value
+for channel in range(1, 17):
+    GOOD["RC%d_OPTION" % channel] = 90 if channel == 7 else 0
 # A scenario of a second is a camera quickly made.
 CONFIG = '[camera]\nsource = "sim"\nscenario = "%s"\n'
 
@@ -70,8 +72,8 @@ def doctor(program, ap, *arguments, enters=0):
     return d.text, d.end()
 
 
-def autopilot(bus=0, **changed):
-    ap = EmulatedAutopilot(bus)
+def autopilot(bus=0, node_id=AUTOPILOT_NODE, **changed):
+    ap = EmulatedAutopilot(bus, node_id=node_id)
     ap.parameters = {**GOOD, **changed}
     ap.send_inputs = False
     return ap
@@ -88,7 +90,8 @@ def words(program, scenario):
         check(code == 0 and "WRONG" not in text and "all fits" in text, "all fits: exit code %s" % code)
         if code != 0:
             print(text)
-        for said in ("the calibration fits its size", "inertial sensor:", "bus multicast:0: open", "its 34 parameters fit",
+        for said in ("the calibration fits its size", "inertial sensor:", "bus multicast:0: open", "its 50 parameters fit",
+                     "note   autopilot: RC7_OPTION is 90", "nodes: 10 (speaks through a tunnel)",
                      "the camera looks "):
             check(said in text, "tells of: " + said)
         ap.node.close()
@@ -111,10 +114,19 @@ def words(program, scenario):
         other.close()
         ap.node.close()
 
+        # The autopilot is another node than the one that is configured.
+        ap = autopilot(node_id=11)
+        text, code = doctor(program, ap, *with_bus)
+        check(code == 1 and "nodes on the bus: 11 (speaks through a tunnel)" in text and
+              "Then set can.autopilot_node 11." in text, "an autopilot on another node is named")
+        ap.node.close()
+
         # Nobody there.
         silent = type("Silent", (), {"spin": staticmethod(time.sleep)})()
         text, code = doctor(program, silent, *with_bus)
         check(code == 1 and "no HEARTBEAT through the tunnel" in text and "CAN_D1_UC_SER_EN 1" in text, "no autopilot")
+        check("restart it again: serial ports over CAN are made at its start" in text, "and says that two restarts are needed")
+        check("not a frame of anybody came in 1.2 s" in text and "ok     bus" not in text, "a bus without a frame is not well")
         text, code = doctor(program, silent)
         check(code == 1 and "camera: none is configured" in text and "no way to it is configured" in text,
               "nothing configured")

@@ -19,6 +19,7 @@ std::map<std::string, double> good() {
       p[std::string("EK3_SRC") + set + "_" + what] = std::string(set) == "2" ? 6 : std::string(set) == "1" ? 3 : 0;
     }
   }
+  for (int channel = 1; channel <= 16; ++channel) p["RC" + std::to_string(channel) + "_OPTION"] = 0;
   return p;
 }
 
@@ -92,6 +93,42 @@ TEST(Doctor, WhatIsNotToldIsNotCalledRight) {
   parameters["EK3_SRC2_POSZ"] = 1;
   parameters["EK3_SRC2_YAW"] = 1;
   EXPECT_TRUE(diagnose(parameters, config()).empty()) << "barometer and compass may stay";
+}
+
+// A switch of two positions selects sets 1 and 3; how many it has, no parameter tells.
+TEST(Doctor, ASourceSwitchIsNamedWhereSetThreeIsNotLikeSetTwo) {
+  auto parameters = good();
+  parameters["RC7_OPTION"] = 90;
+  const auto findings = diagnose(parameters, config());
+  ASSERT_EQ(findings.size(), 1u);
+  EXPECT_EQ(findings[0].severity, Severity::kNote);
+  EXPECT_EQ(findings[0].parameter, "RC7_OPTION");
+  EXPECT_NE(findings[0].words.find("Take one of three positions, or fill EK3_SRC3_* like EK3_SRC2_*"),
+            std::string::npos);
+  for (const char* what : {"POSXY", "VELXY", "POSZ", "VELZ", "YAW"}) parameters[std::string("EK3_SRC3_") + what] = 6;
+  EXPECT_TRUE(diagnose(parameters, config()).empty());
+}
+
+TEST(Doctor, TheLatencyComparedWithIsCalledWhatItIs) {
+  auto parameters = good();
+  parameters["VISO_DELAY_MS"] = 90;
+  const auto findings = diagnose(parameters, config());
+  ASSERT_EQ(findings.size(), 1u);
+  EXPECT_NE(findings[0].words.find("the latency that you gave is 22 ms"), std::string::npos) << findings[0].words;
+  DoctorConfig not_given = config();
+  not_given.viso_delay_ms.reset();
+  EXPECT_TRUE(diagnose(parameters, not_given).empty());
+}
+
+TEST(Doctor, ASubmarineHasNoLeastQuality) {
+  auto parameters = good();
+  parameters.erase("VISO_QUAL_MIN");
+  DoctorConfig c = config();
+  ASSERT_EQ(diagnose(parameters, c).size(), 1u);
+  EXPECT_EQ(diagnose(parameters, c)[0].severity, Severity::kUnknown);
+  c.submarine = true;
+  ASSERT_EQ(diagnose(parameters, c).size(), 1u);
+  EXPECT_EQ(diagnose(parameters, c)[0].severity, Severity::kNote);
 }
 
 TEST(Doctor, ReadsParametersOverTheTunnelAndAsksAgain) {

@@ -226,6 +226,36 @@ TEST(LinkNode, FailedCameraImuOrProcessIsAnErrorAtOnce) {
   }
 }
 
+// A driver gives a picture twice, or for as long as the odometry's state stands: neither a word to the autopilot nor an
+// error of the node; a camera that is frozen for longer is told by a sample without a pose.
+TEST(LinkNode, ARepeatedPictureIsNeitherALossNorASilence) {
+  LinkHarness h;
+  h.run(2);
+  h.camera = false;
+  h.decode_sent();
+  const std::size_t statuses = h.statuses.size(), odometry = h.odometry.size();
+  const rt::TimeNs last = h.t_last_pose;
+  for (const int ms : {33, 67, 100, 133}) {
+    while (h.now < last + ms * kMs) h.step();
+    h.link->frame_begun(h.now);
+    h.step();
+    h.link->picture_repeated(h.now);
+  }
+  PoseSample next = good_pose(h.now + 28 * kMs);
+  while (h.now < next.t_capture_ns + 5 * kMs) h.step();
+  h.poses.write(next);
+  h.step();
+  h.decode_sent();
+  for (std::size_t i = statuses; i < h.statuses.size(); ++i) {
+    EXPECT_EQ(h.statuses[i].second.health, 0);
+    EXPECT_EQ(h.statuses[i].second.vendor_code & (kNoPose | kPoseStalled), 0);
+  }
+  for (std::size_t i = odometry; i < h.odometry.size(); ++i) EXPECT_GT(h.odometry[i].second.quality, 0);
+  EXPECT_GT(h.odometry.size(), odometry);
+  EXPECT_EQ(h.link->status().pictures_repeated, 4u);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk);
+}
+
 TEST(LinkNode, APoseWithoutVelocityIsNotFused) {
   LinkHarness h;
   h.make_pose = [](rt::TimeNs t) {

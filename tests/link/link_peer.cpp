@@ -143,7 +143,7 @@ int main(int argc, char** argv) {
   auto poses = std::make_unique<rt::TripleBuffer<PoseSample>>();
   auto health = std::make_unique<rt::TripleBuffer<SystemHealth>>();
   auto inputs = std::make_unique<InputRing>();
-  o.link.identity.unique_id = dronecan::unique_id_from("godwit_link_peer");
+  o.link.identity.unique_id = {1, 2, 3, 4, 5, 6, 7, 8};
   o.link.odometry.R_body_cam = body_cam();
   o.link.odometry.t_body_cam = kArm;
   LinkPorts ports{bus.get(), bytes.get(), &storage, poses.get(), health.get(), inputs.get(), nullptr};

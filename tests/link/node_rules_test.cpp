@@ -103,6 +103,21 @@ TEST(PoseWatch, SilenceIsDueByWhatIsBeingDone) {
   EXPECT_TRUE(watch.stalled(1080 * kMs));
 }
 
+TEST(PoseWatch, APictureRepeatedIsNoSilence) {
+  PoseWatch watch({});
+  watch.begin(100 * kMs);
+  watch.picture_repeated(110 * kMs);
+  EXPECT_EQ(watch.t_silence_ns(), 3100 * kMs) << "before the first one there is nothing to repeat";
+  watch.came(1000 * kMs);
+  for (const int ms : {1033, 1066, 1100, 1133}) {
+    watch.frame_begun(ms * kMs - 4 * kMs);
+    EXPECT_FALSE(watch.stalled(ms * kMs)) << ms;
+    watch.picture_repeated(ms * kMs);
+  }
+  EXPECT_EQ(watch.t_silence_ns(), 1213 * kMs) << "80 ms after the last of them";
+  EXPECT_EQ(watch.repeated(), 5u);
+}
+
 TEST(ArmingWatch, TheNewestWordCountsAndSilenceChangesNothing) {
   ArmingWatch watch;
   EXPECT_FALSE(watch.armed(false, 0, 100 * kMs));
@@ -148,9 +163,13 @@ TEST(StatusTexts, TheLatencyOnceAMinuteAndWhenItGrows) {
   l.grew = true;
   const auto grew = texts.of_latency(l, true, now + 59'500 * kMs);
   ASSERT_TRUE(grew);
-  EXPECT_EQ(grew->view(), "VIO LATENCY GREW p50 20 p99 31 ms, VISO_DELAY_MS 12");
+  EXPECT_EQ(grew->view(), "VIO LATENCY GREW p50 20 p99 31 VISO_DELAY_MS 12");
   EXPECT_EQ(grew->severity, mavlink::StatusText::kWarning);
   EXPECT_FALSE(texts.of_latency(l, true, now + 60'000 * kMs)) << "told";
+  StatusTexts slow;
+  l.p50_ms = l.p99_ms = 5000;
+  l.viso_delay_ms = 250;
+  EXPECT_EQ(slow.of_latency(l, true, now)->view(), "VIO LATENCY GREW p50 999 p99 999 VISO_DELAY_MS 250") << "never cut";
   EXPECT_TRUE(texts.of_latency(l, true, now + 120'000 * kMs));
 }
 

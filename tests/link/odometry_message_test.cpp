@@ -165,6 +165,15 @@ TEST(BodyPose, WhatIsNotKnownIsNeutral) {
   OdometryConfig bench;
   bench.bench_metric = true;
   EXPECT_GT(body_pose(s, bench).quality, 0);
+  // The arm is in metres, the map in units of its own.
+  const BodyPose without_arm = body_pose(s, bench);
+  bench.t_body_cam = {0.3, -0.2, 0.1};
+  EXPECT_TRUE(body_pose(s, bench).position == without_arm.position);
+  EXPECT_TRUE(body_pose(s, bench).velocity == without_arm.velocity);
+  EXPECT_TRUE(body_pose(s, bench).covariance == without_arm.covariance);
+  s.has_scale = true;
+  EXPECT_NEAR((body_pose(s, bench).position - without_arm.position).norm(), bench.t_body_cam.norm(), 1e-9);
+  s.has_scale = false;
   for (const PoseState state : {PoseState::kInitialising, PoseState::kRelocalising, PoseState::kLost}) {
     s.state = state;
     EXPECT_EQ(body_pose(s, bench).quality, -1) << "no word of the bench makes a pose out of none";

@@ -129,7 +129,7 @@ void down_and_gone() {
 void link_on_it() {
   link::LinkSettings settings;
   settings.can = "socketcan:vcan0";
-  settings.link.identity.unique_id = link::dronecan::unique_id_from("vm");
+  settings.link.identity.unique_id = {7};
   auto opened = link::LinkService::open(settings);
   const auto other = open_bus("vcan0");
   if (!opened.ok() || !other) return check(false, opened.ok() ? "bus" : opened.error().message);

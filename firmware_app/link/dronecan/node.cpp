@@ -37,17 +37,6 @@ NumericValue limit(Parameter p, std::int64_t number) {
 
 }  // namespace
 
-UniqueId unique_id_from(std::string_view machine_id) {
-  UniqueId id{};
-  // Two runs of FNV-1a with different starts: spread, stable, and not the machine id itself, which is confidential.
-  for (std::size_t half = 0; half < 2; ++half) {
-    std::uint64_t hash = 0xCBF29CE484222325ULL ^ (half * 0x676F64776974ULL);
-    for (const char c : machine_id) hash = (hash ^ static_cast<std::uint8_t>(c)) * 0x100000001B3ULL;
-    for (std::size_t i = 0; i < 8; ++i) id[8 * half + i] = static_cast<std::uint8_t>(hash >> (8 * i));
-  }
-  return id;
-}
-
 Node::Node(NodeIdentity identity, bool fd, ParameterSet* parameters, Storage* storage, TxQueue* queue, WriteRules rules)
     : identity_(std::move(identity)),
       fd_(fd),

@@ -24,10 +24,6 @@ struct NodeIdentity {
   std::uint32_t vcs_commit = 0;  ///< 0: not known
 };
 
-/// A stable unique id of this computer, from text that never changes (the contents of /etc/machine-id). Never all
-/// zeros.
-UniqueId unique_id_from(std::string_view machine_id);
-
 /// What NodeStatus says.
 struct NodeCondition {
   NodeHealth health = NodeHealth::kOk;

@@ -72,6 +72,7 @@ void Endpoint::take(const RawMessage& raw, rt::TimeNs now_ns) {
       autopilot_system_ = raw.system;
       autopilot_component_ = raw.component;
       if (config_.system == 0) sender_.system = raw.system;
+      vehicle_type_ = m.type;
       armed_ = (m.base_mode & Heartbeat::kModeArmed) != 0;
       t_heartbeat_ns_ = now_ns;
       return;

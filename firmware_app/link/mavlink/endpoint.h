@@ -79,7 +79,8 @@ class Endpoint {
   /// The last HEARTBEAT of the autopilot said armed; t_heartbeat_ns: when that was, 0 never.
   bool armed() const { return armed_; }
   rt::TimeNs t_heartbeat_ns() const { return t_heartbeat_ns_; }
-  bool has_origin() const { return has_origin_; }  ///< the autopilot announced a GPS_GLOBAL_ORIGIN
+  std::uint8_t vehicle_type() const { return vehicle_type_; }  ///< MAV_TYPE of its HEARTBEAT; 0: none came
+  bool has_origin() const { return has_origin_; }              ///< the autopilot announced a GPS_GLOBAL_ORIGIN
   const TimeSync& time_sync() const { return time_sync_; }
   const EndpointCounters& counters() const { return counters_; }
   const ParserCounters& parser_counters() const { return parser_.counters(); }
@@ -107,6 +108,7 @@ class Endpoint {
   TimeSync time_sync_;
   std::uint8_t autopilot_system_ = 0;
   std::uint8_t autopilot_component_ = 1;
+  std::uint8_t vehicle_type_ = 0;
   bool armed_ = false;
   bool has_origin_ = false;
   rt::TimeNs t_heartbeat_ns_ = 0;

@@ -19,6 +19,7 @@ struct MessageInfo {
 struct Heartbeat : MessageInfo<0, 50, 9> {
   static constexpr const char* kName = "HEARTBEAT";
   static constexpr std::uint8_t kModeArmed = 128;
+  static constexpr std::uint8_t kTypeSubmarine = 12;
   std::uint32_t custom_mode = 0;
   std::uint8_t type = 0;
   std::uint8_t autopilot = 0;
