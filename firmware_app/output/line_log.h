@@ -1,4 +1,8 @@
 // Lines for people on the error stream, written by a thread of their own: whoever says one never waits for its reader.
+//
+// Not spdlog: where its queue is full it blocks, or drops the oldest line, in 1.10 as Debian 12 has it, and at the end
+// it waits for the thread that writes, however long the reader of the stream does not read. Here somebody always waits:
+// the end of a flight.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,6 @@
 // What a service tells systemd: that it is ready, what it does, that it lives. The protocol of sd_notify(3), in
-// datagrams.
+// datagrams. Not libsystemd's call: that opens a socket each time and allocates, and the watchdog is fed by a thread
+// that must live when memory or discs do not.
 #pragma once
 
 #include <string>
