@@ -1,6 +1,6 @@
 # godwit_highway: Highway's headers, its functions being chosen when they are compiled (static dispatch).
 add_library(godwit_highway INTERFACE)
-if(GODWIT_HOST_HEADERS)
+if(CMAKE_CROSSCOMPILING)
   target_include_directories(godwit_highway SYSTEM INTERFACE ${GODWIT_HOST_HEADERS})
 else()
   pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)

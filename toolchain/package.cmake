@@ -21,9 +21,7 @@ install(FILES ${made}/changelog.Debian.gz ${made}/godwit.spdx.json ${deb}/copyri
         COMPONENT programs)
 install(FILES ${made}/changelog.Debian.gz DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models COMPONENT models)
 install(FILES ${deb}/copyright_models DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models RENAME copyright COMPONENT models)
-if(architecture STREQUAL "arm64")
-  install(FILES ${deb}/lintian_overrides DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME godwit COMPONENT programs)
-endif()
+install(FILES ${deb}/lintian_overrides DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME godwit COMPONENT programs)
 # After the rules of firmware_app, which put the pages there.
 install(CODE "file(GLOB pages \"\$ENV{DESTDIR}${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_MANDIR}/man*/*.[1-9]\")
 execute_process(COMMAND gzip -9nf \${pages} COMMAND_ERROR_IS_FATAL ANY)" COMPONENT programs)

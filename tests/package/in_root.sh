@@ -14,7 +14,7 @@ command -v cc g++ gcc && fail "there is a compiler: this is no clean machine"
 
 "$@" "$folder"/old/*.deb
 [ "$(version)" = "$old" ] || fail "version $(version), expected $old"
-say "installed $old"
+say "installed $old on $(uname -m): $(godwit --version)"
 
 cd /tmp
 godwit fly street --frames 2 --detector on --out /tmp/flown >/tmp/fly.log 2>&1 || { cat /tmp/fly.log; fail "godwit fly"; }
@@ -26,7 +26,8 @@ printf '[camera]\nsource = "sim"\nscenario = "street"\npictures = 2\n[detector]\
 godwitd --config /tmp/sim.toml >/tmp/daemon.log 2>&1 &
 pid=$!
 tries=0
-while ! grep -q . /tmp/daemon.log && [ $tries -lt 120 ]; do sleep 1; tries=$((tries + 1)); done
+while ! grep -q armed /tmp/daemon.log && [ $tries -lt 240 ]; do sleep 1; tries=$((tries + 1)); done
+grep -q armed /tmp/daemon.log || { cat /tmp/daemon.log; fail "godwitd does not fly"; }
 sleep 5
 kill -0 $pid 2>/dev/null || { cat /tmp/daemon.log; fail "godwitd did not stay"; }
 kill -TERM $pid

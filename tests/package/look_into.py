@@ -7,7 +7,8 @@ Fails where a shipped program or library
  - asks for a newer C library than that of the oldest system it is meant for (arm64: JetPack 5, glibc 2.31), or on arm64 for
    any version of libstdc++, which it is to bring along;
  - wants a library that is neither in the package nor in a package of its Depends;
-where a file under /etc is no conffile, or where lintian finds an error.
+where Depends has a name that Ubuntu 20.04 and Debian 12 do not both have, where a file under /etc is no conffile, where a file
+that belongs into the package is not there, or where lintian finds an error.
 """
 import pathlib
 import re
@@ -18,9 +19,23 @@ import tempfile
 
 # Highest symbol versions: glibc 2.31 is that of Ubuntu 20.04; amd64 is for Debian 12.
 LIMITS = {'arm64': {'GLIBC': (2, 31), 'GCC': (10,)}, 'amd64': {'GLIBC': (2, 36), 'GLIBCXX': (3, 4, 30), 'CXXABI': (1, 3, 13), 'GCC': (12,)}}
+# What each of the two packages must hold.
+CONTENT = {
+    'godwit': [
+        '/etc/godwit/godwit.toml', '/usr/bin/godwit', '/usr/bin/godwitd', '/usr/lib/systemd/system/godwitd.service',
+        '/usr/lib/systemd/network/80-godwit-can0.network', '/usr/lib/sysusers.d/godwit.conf', '/usr/lib/udev/rules.d/80-godwit.rules',
+        '/usr/share/bash-completion/completions/godwit', '/usr/share/doc/godwit/changelog.Debian.gz',
+        '/usr/share/doc/godwit/copyright', '/usr/share/doc/godwit/godwit.spdx.json', '/usr/share/godwit/scenarios/street.toml',
+        '/usr/share/man/man1/godwit.1.gz', '/usr/share/man/man8/godwitd.8.gz'],
+    'godwit-models': [
+        '/usr/share/doc/godwit-models/copyright', '/usr/share/godwit/models/README.md',
+        '/usr/share/godwit/models/cbam_yolov5n_320.onnx', '/usr/share/godwit/models/cbam_yolov5n_320.toml',
+        '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml'],
+}
 DEPENDS = pathlib.Path(__file__).resolve().parents[2] / 'toolchain/deb/depends'
+KNOWN = runpy.run_path(str(DEPENDS))
 # On arm64: the package that brings a library.
-BRINGS = {library: package for library, (package, _) in runpy.run_path(str(DEPENDS))['BRINGS'].items()}
+BRINGS = {library: package for library, (package, _) in KNOWN['BRINGS'].items()}
 
 
 def said(*command):
@@ -59,7 +74,9 @@ def look_at_program(program, name, architecture, depends, failures):
 
 def look_into(package, failures):
     architecture = field(package, 'Architecture')
-    depends = {item.strip().split(' ')[0] for item in field(package, 'Depends').split(',')}
+    depends = {item.strip().split(' ')[0] for item in field(package, 'Depends').split(',')} - {''}
+    for name in sorted(depends - KNOWN['NAMES']):
+        failures.append(f'depends on {name}, a name that Ubuntu 20.04 and Debian 12 do not both have: link it statically')
     print(f'{package.name} ({package.stat().st_size / 1e6:.1f} MB), Depends: {field(package, "Depends")}')
     with tempfile.TemporaryDirectory(prefix='godwit_package.') as folder:
         root = pathlib.Path(folder) / 'root'
@@ -81,6 +98,9 @@ def look_into(package, failures):
         missing = [name for name in kept if not (root / name[1:]).is_file()]
         if missing:
             failures.append(f'conffiles that are not there: {missing}')
+        for name in CONTENT[field(package, 'Package')]:
+            if not (root / name[1:]).is_file():
+                failures.append(f'{name} is not in {package.name}')
         if architecture != 'all' and programs < 2:
             failures.append(f'{package.name} has {programs} programs')
 

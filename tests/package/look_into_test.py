@@ -1,10 +1,13 @@
 """The look into packages finds what it is there for: a package that is wrong in each way is told so, a right one passes."""
 import pathlib
+import runpy
 import subprocess
 import sys
 import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
+CONTENT = runpy.run_path(str(HERE / 'look_into.py'))['CONTENT']
+CONFFILE = '/etc/godwit/godwit.toml'
 CONTROL = '''Package: godwit
 Version: 1-1
 Architecture: {}
@@ -14,15 +17,16 @@ Description: a test
 '''
 
 
-def package(folder, architecture, depends, conffiles, program='/bin/true'):
-    """A package of two programs, which are this machine's own, and a file in /etc."""
+def package(folder, architecture, depends, conffiles, program='/bin/true', without=None):
+    """A package with all that belongs into it but `without`; its two programs are this machine's own."""
     root = folder / 'root'
     (root / 'DEBIAN').mkdir(parents=True)
-    (root / 'usr/bin').mkdir(parents=True)
-    (root / 'etc').mkdir()
-    for name in ('godwit', 'godwitd'):
-        (root / 'usr/bin' / name).write_bytes(pathlib.Path(program).read_bytes())
-    (root / 'etc/godwit.toml').write_text('a = 1\n', encoding='utf-8')
+    for name in CONTENT['godwit']:
+        if name == without:
+            continue
+        file = root / name[1:]
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pathlib.Path(program).read_bytes() if name.startswith('/usr/bin/') else b'a = 1\n')
     (root / 'DEBIAN/control').write_text(CONTROL.format(architecture, depends), encoding='utf-8')
     if conffiles:
         (root / 'DEBIAN/conffiles').write_text(''.join(name + '\n' for name in conffiles), encoding='utf-8')
@@ -43,15 +47,20 @@ def expect(condition, told):
         sys.exit('FAILED: ' + told)
 
 
-code, told = look('amd64', 'libc6', ['/etc/godwit.toml'])
+code, told = look('amd64', 'libc6', [CONFFILE])
 expect(code == 0, told)
 # Debian 12's own programs ask for its own glibc 2.34: too new for JetPack 5.
-code, told = look('arm64', 'libc6', ['/etc/godwit.toml'])
+code, told = look('arm64', 'libc6', [CONFFILE])
 expect(code == 1 and 'asks for GLIBC_2.34, allowed: (2, 31)' in told, told)
-code, told = look('arm64', 'libgcc-s1', ['/etc/godwit.toml'])
+code, told = look('arm64', 'libgcc-s1', [CONFFILE])
 expect(code == 1 and 'wants libc.so.6, which no package of Depends brings' in told, told)
 code, told = look('amd64', 'libc6', [])
-expect(code == 1 and '/etc/godwit.toml is no conffile' in told, told)
+expect(code == 1 and CONFFILE + ' is no conffile' in told, told)
+code, told = look('amd64', 'libc6, libjpeg62-turbo (>= 1.3.1)', [CONFFILE])
+expect(code == 1 and 'depends on libjpeg62-turbo, a name that Ubuntu 20.04' in told, told)
+unit = '/usr/lib/systemd/system/godwitd.service'
+code, told = look('amd64', 'libc6', [CONFFILE], without=unit)
+expect(code == 1 and unit + ' is not in godwit.deb' in told, told)
 done = subprocess.run([HERE.parents[1] / 'toolchain/deb/depends', '/bin/ls'], capture_output=True, text=True)
 expect(done.returncode != 0 and 'libselinux.so.1' in done.stderr, done.stdout + done.stderr)
-print('four packages looked into')
+print('six packages looked into')
