@@ -1,7 +1,7 @@
 # Where a cross build, and that of the packages, finds its libraries: nothing but names that Ubuntu and Debian share may be
 # asked of the target, so what they call differently is linked statically or is headers alone. Headers (Eigen, Highway, fmt,
 # toml++, CLI11) are the same on every architecture: the machine's serve, by links, because the folder that holds them holds its
-# other headers too. OpenCV is our own cut (toolchain/opencv), made on first use.
+# other headers too. OpenCV: OpenCVConfig.cmake.
 set(headers ${PROJECT_BINARY_DIR}/headers)
 file(MAKE_DIRECTORY ${headers})
 foreach(name CLI fmt hwy nlohmann toml++)
@@ -28,10 +28,6 @@ if(GODWIT_BUILD_APP)
     set(${name}_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Of the target")
   endforeach()
   set(PNG_PNG_INCLUDE_DIR ${CMAKE_SYSROOT}/usr/include CACHE PATH "Of the target")
-  # OpenCV's package names it and does not look for it.
-  add_library(protobuf::libprotobuf STATIC IMPORTED)
-  set_target_properties(protobuf::libprotobuf PROPERTIES
-                        IMPORTED_LOCATION ${CMAKE_SYSROOT}/usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/libprotobuf.a)
   add_link_options(-Wl,--as-needed)
   if(CMAKE_CROSSCOMPILING)
     execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/sysroot devices OUTPUT_VARIABLE folder OUTPUT_STRIP_TRAILING_WHITESPACE
@@ -50,11 +46,16 @@ if(GODWIT_BUILD_APP)
   endif()
   set(GODWIT_OPENCV "" CACHE PATH "An OpenCV for the target in place of toolchain/opencv's, such as one with CUDA")
   if(GODWIT_OPENCV)
-    set(folder ${GODWIT_OPENCV})
+    set(OpenCV_DIR ${GODWIT_OPENCV}/lib/cmake/opencv4 CACHE PATH "OpenCV's CMake package" FORCE)
   else()
-    message(STATUS "OpenCV for the target: building it if it is not there (ten minutes of processor time, once)")
-    execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/opencv ${architecture} OUTPUT_VARIABLE folder
+    message(STATUS "OpenCV for the target: building it if it is not there (minutes of processor time, once)")
+    execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/opencv ${architecture} OUTPUT_VARIABLE GODWIT_OPENCV_BUILT
                     OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+    set(GODWIT_OPENCV_DEBIAN "")
+    if(CMAKE_CROSSCOMPILING)
+      execute_process(COMMAND ${PROJECT_SOURCE_DIR}/toolchain/sysroot network OUTPUT_VARIABLE GODWIT_OPENCV_DEBIAN
+                      OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+    endif()
+    set(OpenCV_DIR ${CMAKE_CURRENT_LIST_DIR} CACHE PATH "OpenCV's CMake package" FORCE)
   endif()
-  set(OpenCV_DIR ${folder}/lib/cmake/opencv4 CACHE PATH "OpenCV's CMake package" FORCE)
 endif()
