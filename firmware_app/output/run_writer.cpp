@@ -54,7 +54,11 @@ std::string poses_header() {
   append_triangle('c', &h);
   h += ",ref_id,ref_t,rtx,rty,rtz,rqx,rqy,rqz,rqw";
   append_triangle('r', &h);
-  return h + ",median_depth\n";
+  h += ",median_depth,vx,vy,vz,v00,v01,v02,v11,v12,v22,scale_sigma";
+  for (const char* what : {"gyro_bias", "accel_bias", "mounting"}) {
+    for (const char axis : {'x', 'y', 'z'}) h += fmt::format(",{}_{}", what, axis);
+  }
+  return h + ",time_offset\n";
 }
 
 /// What the mapper did before this frame was done; nothing where it did nothing.
@@ -169,6 +173,17 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
       line_.append(28, ',');
     }
     fmt::format_to(std::back_inserter(line_), ",{}", r.median_depth);
+    if (r.metric) {
+      append(r.velocity);
+      append(r.velocity_covariance);
+      append(std::array{r.inertial.log_scale_sigma});
+      append(r.inertial.gyro_bias);
+      append(r.inertial.accel_bias);
+      append(r.inertial.mounting);
+      append(std::array{r.inertial.time_offset_s});
+    } else {
+      line_.append(20, ',');
+    }
     line_ += "\n";
     written = poses_.write(line_);
   }

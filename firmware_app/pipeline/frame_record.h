@@ -73,6 +73,15 @@ struct MappingRecord {
   double rms_before_px = 0, rms_after_px = 0;
 };
 
+/// What the inertial estimator knows of the sensor and of lengths; means something with a metric pose.
+struct InertialRecord {
+  double log_scale_sigma = 0;          ///< one sigma of the lengths told, as a share
+  std::array<double, 3> gyro_bias{};   ///< [rad/s]
+  std::array<double, 3> accel_bias{};  ///< [m/s^2]
+  std::array<double, 3> mounting{};    ///< rotation vector right of the configured R_body_cam: what that has wrong
+  double time_offset_s = 0;            ///< a picture stamped t was taken at t + this on the inertial sensor's clock
+};
+
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
 struct FrameRecord {
   std::uint32_t sequence = 0;
@@ -114,11 +123,12 @@ struct FrameRecord {
   bool metric = false;
   std::array<double, 3> velocity{};             ///< of the camera along the frame's axes [m/s]
   std::array<double, 6> velocity_covariance{};  ///< upper triangle by rows
-  double median_depth = 0;                      ///< of the points behind the pose [map units]
-  const char* keyframe_reason = "";             ///< static text: why the frame should become a keyframe
-  MappingRecord mapping;                        ///< what the mapper has done since the frame before
-  Measured why;                                 ///< why the state is what it is; processed frames
-  ShortText reason;                             ///< the same in words, or why the picture was not flown
+  InertialRecord inertial;
+  double median_depth = 0;           ///< of the points behind the pose [map units]
+  const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
+  MappingRecord mapping;             ///< what the mapper has done since the frame before
+  Measured why;                      ///< why the state is what it is; processed frames
+  ShortText reason;                  ///< the same in words, or why the picture was not flown
 };
 
 }  // namespace godwit::app

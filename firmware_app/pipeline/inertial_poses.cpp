@@ -71,6 +71,12 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = pose.moved_by_m;
   Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = pose.turned_by_rad;
   record->map_moved = result.map_moved || pose.moved_by_m.squaredNorm() > 0;
+  const vo::InertialState& x = odometry_->smoother().newest();
+  record->inertial.log_scale_sigma = pose.log_scale_sigma;
+  Eigen::Map<Eigen::Vector3d>(record->inertial.gyro_bias.data()) = x.bias.gyro;
+  Eigen::Map<Eigen::Vector3d>(record->inertial.accel_bias.data()) = x.bias.accel;
+  Eigen::Map<Eigen::Vector3d>(record->inertial.mounting.data()) = x.mounting;
+  record->inertial.time_offset_s = x.time_offset_s;
   // The record's covariance is along the camera's axes (see autopilot/pose_sampler.cpp).
   vo::Mat6 to_cam = vo::Mat6::Zero();
   to_cam.topLeftCorner<3, 3>() = to_cam.bottomRightCorner<3, 3>() = pose.T_nav_cam.R.transpose();
