@@ -11,6 +11,7 @@
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
+#include "hal/rt/memory.h"
 
 namespace {
 
@@ -39,6 +40,10 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
 
 }  // namespace
 
+/// For threads without a plan: the log's and the one that keeps parameters.
+constexpr std::size_t kUnplannedStackBytes = std::size_t{1} << 20;
+
 int main(int argc, char** argv) {
+  godwit::rt::limit_unplanned_stacks(kUnplannedStackBytes);
   return godwit::app::run_program("godwitd", run, argc, argv);
 }

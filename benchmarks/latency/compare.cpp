@@ -26,20 +26,23 @@ using Json = nlohmann::ordered_json;
 
 std::vector<std::string> command_of(const Options& o, const std::string& side, const std::string& json_file) {
   const bool config = std::filesystem::path(side).extension() == ".toml";
-  std::vector<std::string> words = {config ? std::filesystem::read_symlink("/proc/self/exe").string() : side, o.input};
+  std::vector<std::string> words = {config ? std::filesystem::read_symlink("/proc/self/exe").string() : side};
+  if (!o.live) words.push_back(o.input);
   const auto add = [&](const char* name, const std::string& value) {
     words.emplace_back(name);
     words.push_back(value);
   };
-  if (config || !o.config_file.empty()) add("--config", config ? side : o.config_file);
+  if (config || !o.config_file.empty()) add(o.live ? "--camera" : "--config", config ? side : o.config_file);
   add("--detector", o.detector);
   add("--seconds", fmt::format("{}", o.seconds));
   if (o.fps > 0) add("--fps", fmt::format("{}", o.fps));
   add("--pictures", std::to_string(o.pictures));
   add("--seed", std::to_string(o.seed));
-  add("--exposure-ms", fmt::format("{}", o.delays.exposure_ms));
-  add("--readout-ms", fmt::format("{}", o.delays.readout_ms));
-  add("--transfer-ms", fmt::format("{}", o.delays.transfer_ms));
+  if (!o.live) {
+    add("--exposure-ms", fmt::format("{}", o.delays.exposure_ms));
+    add("--readout-ms", fmt::format("{}", o.delays.readout_ms));
+    add("--transfer-ms", fmt::format("{}", o.delays.transfer_ms));
+  }
   if (!o.can.empty()) add("--can", o.can);
   add("--json", json_file);
   words.emplace_back("--quiet");
@@ -141,9 +144,9 @@ rt::Result<Comparison> compare(const Options& o, const std::atomic<bool>& stop) 
 }
 
 std::string table(const Options& o, const Comparison& c) {
-  std::string out =
-      fmt::format("A = {}\nB = {}\n{} pairs on {}, {} s each flight\n  {:<52} {:>7} {:>8} {:>7} {:>7}\n", o.compare[0],
-                  o.compare[1], c.pairs, o.input, o.seconds, "A / B", "median", "+-", "least", "most");
+  std::string out = fmt::format("A = {}\nB = {}\n{} pairs on {}, {} s each flight\n  {:<52} {:>7} {:>8} {:>7} {:>7}\n",
+                                o.compare[0], o.compare[1], c.pairs, o.live ? "a live camera" : o.input, o.seconds,
+                                "A / B", "median", "+-", "least", "most");
   for (const Ratio& r : c.ratios) {
     out += fmt::format("  {:<52} {:7.3f} {:8.3f} {:7.3f} {:7.3f}\n", r.figure, r.median, r.spread, r.least, r.most);
   }
@@ -159,7 +162,7 @@ std::string json(const Options& o, const Comparison& c) {
   const Json out = {{"kind", "latency-comparison"},
                     {"schema", 1},
                     {"version", app::version_words(app::version())},
-                    {"input", o.input},
+                    {"input", o.live ? "live camera" : o.input},
                     {"a", o.compare[0]},
                     {"b", o.compare[1]},
                     {"pairs", c.pairs},

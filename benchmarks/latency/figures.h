@@ -46,6 +46,7 @@ struct FlightFigures {
   double first_pose_ms = -1;            ///< from the first picture's capture to the first pose's
   double poses_hz = 0;                  ///< tracked poses a second of flight
   Distribution age_at_pose;             ///< from mid-exposure to the pose
+  Distribution delivery;                ///< from mid-exposure to the picture in our memory, as it was
   Distribution own_at_pose;             ///< the same from delivery: our own share
   Distribution age_at_bus;  ///< from mid-exposure to the pose's last frame handed to the bus; no samples: no bus
   Distribution own_at_bus;

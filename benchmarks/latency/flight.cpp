@@ -2,14 +2,17 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <fmt/format.h>
 #include <fstream>
 #include <malloc.h>
 
 #include "benchmarks/latency/thread_watch.h"
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/flight/scenario_folder.h"
+#include "firmware_app/output/event_line.h"
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
@@ -40,10 +43,11 @@ class HeapWatch {
   std::atomic<std::int64_t> count_{-1};  ///< the thread -> the collector
 };
 
-/// The camera as it is, with an eye on its thread's heap.
+/// The camera as it is, with an eye on its thread's heap. A live one is at its end after lasts_ns (0: by itself).
 class WatchedCamera final : public hal::Camera {
  public:
-  WatchedCamera(std::unique_ptr<hal::Camera> camera, HeapWatch* heap) : camera_(std::move(camera)), heap_(heap) {}
+  WatchedCamera(std::unique_ptr<hal::Camera> camera, rt::TimeNs lasts_ns, HeapWatch* heap)
+      : camera_(std::move(camera)), lasts_ns_(lasts_ns), heap_(heap) {}
   int width() const override { return camera_->width(); }
   int height() const override { return camera_->height(); }
   int channels() const override { return camera_->channels(); }
@@ -51,11 +55,19 @@ class WatchedCamera final : public hal::Camera {
   hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                          hal::CapturedFrame* frame, std::string* why) override {
     heap_->look();
+    if (lasts_ns_ > 0) {
+      const rt::TimeNs now_ns = rt::monotonic_now_ns();
+      if (t_end_ns_ == 0) t_end_ns_ = now_ns + lasts_ns_;
+      if (now_ns >= t_end_ns_) return hal::CameraStatus::kEnd;
+    }
     return camera_->next(grey, bgr, timeout_ns, frame, why);
   }
+  rt::LogRing* events() override { return camera_->events(); }
 
  private:
   std::unique_ptr<hal::Camera> camera_;
+  const rt::TimeNs lasts_ns_;
+  rt::TimeNs t_end_ns_ = 0;
   HeapWatch* heap_;
 };
 
@@ -63,6 +75,9 @@ class WatchedCamera final : public hal::Camera {
 class WatchedTap final : public app::FrameTap {
  public:
   WatchedTap(app::FrameTap* next, HeapWatch* heap) : next_(next), heap_(heap) {}
+  void frame_begun() override {
+    if (next_ != nullptr) next_->frame_begun();
+  }
   void frame_done(const app::FrameRecord& record) override {
     if (next_ != nullptr) next_->frame_done(record);
     heap_->look();
@@ -95,11 +110,16 @@ double line_of_status_mb(const char* key) {
   return kb * 1024 / 1e6;
 }
 
-/// Collects what the flight brings; the thread that runs the pipeline.
+/// Collects what the flight brings; the thread that runs the pipeline. delivery_ns: what a simulated camera takes to
+/// deliver; negative: a live one, whose delivery is measured.
 class Collector final : public app::FrameSink {
  public:
   Collector(FlightFigures* figures, rt::TimeNs delivery_ns, double deadline_ms, link::DepartureRing* departures)
       : figures_(figures), delivery_ns_(delivery_ns), deadline_ms_(deadline_ms), departures_(departures) {}
+
+  void event(const rt::LogEntry& e) override {
+    if (delivery_ns_ < 0) fmt::print(stderr, "godwit-latency: {}\n", app::event_line(e, e.t_ns));
+  }
 
   void started(const std::vector<std::string>& refused) override {
     figures_->refused = app::privilege_warning(figures_->refused, refused);
@@ -119,9 +139,12 @@ class Collector final : public app::FrameSink {
     if (r.fate == app::FrameFate::kDroppedSlots || r.fate == app::FrameFate::kDroppedLate) ++figures_->dropped;
     if (r.fate != app::FrameFate::kProcessed) return {};
     ++figures_->processed;
-    figures_->seconds = rt::to_seconds(r.t_done_ns - t_first_ns_ - delivery_ns_);
+    const rt::TimeNs delivered_ns = r.t_delivered_ns - r.t_capture_ns;
+    const rt::TimeNs due_ns = delivery_ns_ < 0 ? delivered_ns : delivery_ns_;
+    figures_->seconds = rt::to_seconds(r.t_done_ns - t_first_ns_ - due_ns);
     const double age_ms = rt::to_ms(r.t_done_ns - r.t_capture_ns);
-    const double own_ms = age_ms - rt::to_ms(delivery_ns_);
+    const double own_ms = age_ms - rt::to_ms(due_ns);
+    delivery_.push_back(rt::to_ms(delivered_ns));
     if (own_ms > deadline_ms_) ++figures_->missed_deadlines;
     if (!r.tracked) return {};
     if (figures_->first_pose_frames < 0) {
@@ -143,12 +166,15 @@ class Collector final : public app::FrameSink {
   void drain() {
     for (link::PoseDeparture d; departures_->try_pop(&d);) {
       bus_.push_back(rt::to_ms(d.t_sent_ns - d.t_capture_ns));
-      own_bus_.push_back(bus_.back() - rt::to_ms(delivery_ns_));
     }
   }
 
   void finish() {
     drain();
+    figures_->delivery = distribution_of(std::move(delivery_));
+    // A departure does not tell when its picture was delivered: a live camera's median stands for it.
+    const double delivery_ms = delivery_ns_ < 0 ? figures_->delivery.p50 : rt::to_ms(delivery_ns_);
+    for (const double age_ms : bus_) own_bus_.push_back(age_ms - delivery_ms);
     figures_->age_at_pose = distribution_of(std::move(age_));
     figures_->own_at_pose = distribution_of(std::move(own_));
     figures_->age_at_bus = distribution_of(std::move(bus_));
@@ -169,7 +195,7 @@ class Collector final : public app::FrameSink {
   link::DepartureRing* departures_;
   ThreadWatch threads_;
   rt::TimeNs t_next_look_ns_ = 0, t_first_ns_ = 0;
-  std::vector<double> age_, own_, bus_, own_bus_, cpu_;
+  std::vector<double> delivery_, age_, own_, bus_, own_bus_, cpu_;
   std::array<std::vector<double>, app::kStages> stages_;
 };
 
@@ -227,12 +253,28 @@ rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& st
   return out;
 }
 
+rt::Result<Pictures> live_pictures(const app::Config& config) {
+  if (config.camera.source != app::Config::Camera::Source::kV4l2) {
+    return rt::Error{"camera.source: \"v4l2\" is what --camera flies; for the others there is INPUT"};
+  }
+  const auto opened = app::open_camera(config.camera, [](const std::string&) {});
+  if (!opened) return opened.error();
+  Pictures out;
+  out.name = "camera " + config.camera.device;
+  out.calibration = opened.value().calibration;
+  out.fps = out.calibration.fps > 0 ? out.calibration.fps : kDefaultFps;
+  return out;
+}
+
 rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::Config config, bool detector,
                               const std::atomic<bool>& stop) {
   FlightFigures figures;
   figures.detector = config.detector.enabled = detector;
   figures.deadline_ms = 1000 / pictures.fps;
-  figures.pictures_mb = 1e-6 * pictures.camera->pictures() * pictures.camera->width() * pictures.camera->height();
+  const bool live = pictures.camera == nullptr;
+  if (!live) {
+    figures.pictures_mb = 1e-6 * pictures.camera->pictures() * pictures.camera->width() * pictures.camera->height();
+  }
   if (!o.can.empty()) config.can.bus = o.can;
   auto assembled = app::assemble(config, pictures.calibration, {});
   if (!assembled) return assembled.error();
@@ -243,7 +285,16 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
   looped.total = std::max<std::int64_t>(2, static_cast<std::int64_t>(o.seconds * pictures.fps));
   looped.delivery_ns = static_cast<rt::TimeNs>(o.delays.delivery_ms() * 1e6);
   HeapWatch camera_heap, tracker_heap;
-  WatchedCamera camera(pictures.camera->again(looped), &camera_heap);
+  std::unique_ptr<hal::Camera> source;
+  if (live) {
+    auto opened = app::open_camera(config.camera,
+                                   [](const std::string& words) { fmt::print(stderr, "godwit-latency: {}\n", words); });
+    if (!opened) return opened.error();
+    source = std::move(opened.value().camera);
+  } else {
+    source = pictures.camera->again(looped);
+  }
+  WatchedCamera camera(std::move(source), live ? static_cast<rt::TimeNs>(o.seconds * 1e9) : 0, &camera_heap);
 
   app::PipelineOptions pipeline;
   pipeline.newest_frame = true;
@@ -259,7 +310,7 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
   WatchedTap tap(autopilot, &tracker_heap);
   pipeline.tap = &tap;
   figures.refused = app::arm_memory(config);
-  Collector collector(&figures, looped.delivery_ns, figures.deadline_ms, &departures);
+  Collector collector(&figures, live ? -1 : looped.delivery_ns, figures.deadline_ms, &departures);
   const auto run = app::run_pipeline(&camera, parts.stage.get(), parts.pool.get(), pipeline, &collector, stop);
   if (!run) return run.error();
   if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};

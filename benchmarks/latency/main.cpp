@@ -1,4 +1,5 @@
 // godwit-latency: see options.cpp for what it says of itself.
+#include <algorithm>
 #include <cstdio>
 #include <fmt/format.h>
 
@@ -32,6 +33,12 @@ int finish(const std::string& name, const std::string& text, hal::AtomicFile* fi
   return app::kExitDone;
 }
 
+int finish_plot(const bench::Run& run, const std::string& name, hal::AtomicFile* file) {
+  if (name.empty()) return app::kExitDone;
+  const auto drawn = bench::plot(run);
+  return drawn ? finish(name, drawn.value(), file) : fail(app::kExitFailed, drawn.error().message);
+}
+
 int run_compare(const bench::Options& o, hal::AtomicFile* file, const std::atomic<bool>& stop) {
   const auto compared = bench::compare(o, stop);
   if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
@@ -43,8 +50,9 @@ int run_compare(const bench::Options& o, hal::AtomicFile* file, const std::atomi
 int run(int argc, char** argv, const std::atomic<bool>& stop) {
   bench::Options o;
   if (const int code = bench::parse_options(argc, argv, &o); code >= 0) return code;
-  hal::AtomicFile json_file;
+  hal::AtomicFile json_file, plot_file;
   if (auto r = open_output(o.json_file, &json_file); !r) return fail(app::kExitRefused, r.error().message);
+  if (auto r = open_output(o.plot_file, &plot_file); !r) return fail(app::kExitRefused, r.error().message);
   if (!o.compare.empty()) return run_compare(o, &json_file, stop);
   app::Config config;
   if (!o.config_file.empty()) {
@@ -55,10 +63,10 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   } else {
     config.threads.lock_memory = true;
   }
-  auto pictures = bench::load_pictures(o, stop);
+  auto pictures = o.live ? bench::live_pictures(config) : bench::load_pictures(o, stop);
   if (stop.load(std::memory_order_relaxed)) return app::kExitInterrupted;
   if (!pictures) return fail(app::kExitRefused, pictures.error().message);
-  bench::Run run{pictures.value().name, o.config_file, pictures.value().fps, o.delays, {}};
+  bench::Run run{pictures.value().name, o.config_file, pictures.value().fps, o.delays, o.live, {}};
   bool poses = true;
   for (const bool detector : {true, false}) {
     if (o.detector == (detector ? "off" : "on")) continue;
@@ -69,10 +77,8 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
     run.flights.push_back(std::move(flown).value());
   }
   if (!o.quiet) fmt::print("{}", bench::table(run));
-  if (!o.plot_file.empty()) {
-    if (auto r = bench::plot(run, o.plot_file); !r) return fail(app::kExitFailed, r.error().message);
-  }
-  const int code = finish(o.json_file, bench::json(run), &json_file);
+  const int told = finish(o.json_file, bench::json(run), &json_file);
+  const int code = std::max(told, finish_plot(run, o.plot_file, &plot_file));
   return code == app::kExitDone && !poses ? static_cast<int>(app::kExitFailed) : code;
 }
 

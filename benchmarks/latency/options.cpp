@@ -4,6 +4,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
+#include <cstdio>
 
 #include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
@@ -17,10 +18,17 @@ int parse_options(int argc, char** argv, Options* o) {
       "each thread costs, what was late or lost.",
       "godwit-latency");
   app.set_version_flag("--version", "godwit-latency " + app::version_words(app::version()));
-  app.add_option("INPUT", o->input,
-                 "Folder of a recorded sequence (as for godwit replay), or the name of a simulated scenario")
-      ->required();
-  app.add_option("--config", o->config_file, "Configuration (TOML) to fly with")->type_name("FILE");
+  CLI::Option* const input = app.add_option(
+      "INPUT", o->input, "Folder of a recorded sequence (as for godwit replay), or the name of a simulated scenario");
+  CLI::Option* const config =
+      app.add_option("--config", o->config_file, "Configuration (TOML) to fly with")->type_name("FILE");
+  std::string camera;
+  CLI::Option* const live =
+      app.add_option("--camera", camera,
+                     "Live, in place of INPUT: the camera that this configuration names, flown with it")
+          ->type_name("FILE")
+          ->excludes(input)
+          ->excludes(config);
   app.add_option("--detector", o->detector, "on, off, or both: one flight after the other")
       ->check(CLI::IsMember({"on", "off", "both"}))
       ->capture_default_str();
@@ -34,7 +42,7 @@ int parse_options(int argc, char** argv, Options* o) {
       ->capture_default_str();
   app.add_option("--seed", o->seed, "Of a simulated scenario")->capture_default_str();
   const auto delay = [&](const char* name, double* value, const char* what) {
-    app.add_option(name, *value, what)->check(CLI::Range(0.0, 1000.0))->capture_default_str();
+    app.add_option(name, *value, what)->check(CLI::Range(0.0, 1000.0))->capture_default_str()->excludes(live);
   };
   delay("--exposure-ms", &o->delays.exposure_ms, "Exposure of the simulated camera [ms]");
   delay("--readout-ms", &o->delays.readout_ms, "Readout of the simulated camera, first row to last [ms]");
@@ -61,6 +69,12 @@ int parse_options(int argc, char** argv, Options* o) {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? app::kExitDone : app::kExitRefused;
+  }
+  o->live = !camera.empty();
+  if (o->live) o->config_file = camera;
+  if (!o->live && o->input.empty()) {
+    std::fputs("godwit-latency: nothing to fly: INPUT, or --camera FILE, is needed (--help)\n", stderr);
+    return app::kExitRefused;
   }
   return -1;
 }

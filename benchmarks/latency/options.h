@@ -11,6 +11,7 @@ namespace godwit::bench {
 struct Options {
   std::string input;        ///< folder of a sequence, or a scenario's name or file
   std::string config_file;  ///< empty: the defaults
+  bool live = false;        ///< the camera that config_file names takes the place of input
   std::string detector = "both";
   double seconds = 20;  ///< of flight, each
   double fps = 0;       ///< 0: as the sequence says, else 30

@@ -88,7 +88,7 @@ void draw_flight(const FlightFigures& f, double delivery_ms, cv::Mat* row) {
 
 }  // namespace
 
-rt::Result<void> plot(const Run& run, const std::string& file) {
+rt::Result<std::string> plot(const Run& run) {
   cv::Mat picture(kRowPx * static_cast<int>(run.flights.size()), kHistogramPx + kTimelinePx, CV_8UC3,
                   cv::Scalar::all(255));
   for (std::size_t i = 0; i < run.flights.size(); ++i) {
@@ -96,7 +96,7 @@ rt::Result<void> plot(const Run& run, const std::string& file) {
     if (run.flights[i].age_ms.empty()) {
       write(&row, "no pose was found", {kLeftPx, 40}, 0.6);
     } else {
-      draw_flight(run.flights[i], run.delays.delivery_ms(), &row);
+      draw_flight(run.flights[i], run.live ? run.flights[i].delivery.p50 : run.delays.delivery_ms(), &row);
     }
   }
   // libpng's simplified interface; OpenCV's imgcodecs would bring 150 MB of libraries into the memory that is measured.
@@ -105,11 +105,15 @@ rt::Result<void> plot(const Run& run, const std::string& file) {
   image.width = static_cast<png_uint_32>(picture.cols);
   image.height = static_cast<png_uint_32>(picture.rows);
   image.format = PNG_FORMAT_BGR;
-  if (png_image_write_to_file(&image, file.c_str(), 0, picture.data, static_cast<png_int_32>(picture.step[0]),
-                              nullptr) == 0) {
-    return rt::Error{file + ": " + image.message};
-  }
-  return {};
+  const auto row_bytes = static_cast<png_int_32>(picture.step[0]);
+  png_alloc_size_t bytes = 0;
+  // The first call tells how much room the second needs.
+  bool drawn = png_image_write_to_memory(&image, nullptr, &bytes, 0, picture.data, row_bytes, nullptr) != 0;
+  std::string out(bytes, '\0');
+  drawn = drawn && png_image_write_to_memory(&image, out.data(), &bytes, 0, picture.data, row_bytes, nullptr) != 0;
+  if (!drawn) return rt::Error{std::string("the plot cannot be drawn: ") + image.message};
+  out.resize(bytes);
+  return out;
 }
 
 }  // namespace godwit::bench

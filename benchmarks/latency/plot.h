@@ -9,7 +9,7 @@
 namespace godwit::bench {
 
 /// Draws a row for each flight: how often which age at pose, and the age over the flight, with delivery and deadline as
-/// lines, as a PNG. Error: the file cannot be written.
-rt::Result<void> plot(const Run& run, const std::string& file);
+/// lines. The bytes of a PNG; error: libpng's.
+rt::Result<std::string> plot(const Run& run);
 
 }  // namespace godwit::bench

@@ -39,6 +39,7 @@ Json of(const FlightFigures& f) {
       {"poses_hz", f.poses_hz},
       {"deadline_ms", f.deadline_ms},
       {"missed_deadlines", f.missed_deadlines},
+      {"delivery_ms", of(f.delivery)},
       {"age_at_pose_ms", of(f.age_at_pose)},
       {"own_at_pose_ms", of(f.own_at_pose)}};
   out["age_at_bus_ms"] = f.age_at_bus.samples > 0 ? of(f.age_at_bus) : Json(nullptr);
@@ -78,6 +79,7 @@ void add_flight(std::string* out, const FlightFigures& f) {
                         f.detections_late, f.rung);
   }
   *out += fmt::format("  {:<26} {:>8} {:>8} {:>8} {:>8} {:>8}\n", "[ms]", "p50", "p95", "p99", "p99.9", "max");
+  add_row(out, "picture delivered after", f.delivery);
   add_row(out, "age at pose", f.age_at_pose);
   add_row(out, "  our own share", f.own_at_pose);
   add_row(out, f.age_at_bus.samples > 0 ? "age at bus" : "age at bus (no --can)", f.age_at_bus);
@@ -105,10 +107,14 @@ void add_flight(std::string* out, const FlightFigures& f) {
 std::string table(const Run& run) {
   std::string out = fmt::format("{} at {:.3g} pictures a second; configuration: {}\n", run.input, run.fps,
                                 run.config_file.empty() ? "defaults" : run.config_file);
-  out += fmt::format(
-      "simulated camera: exposure {:.3g} ms, readout {:.3g} ms, transfer {:.3g} ms: a picture is {:.3g} ms "
-      "old when it comes\n",
-      run.delays.exposure_ms, run.delays.readout_ms, run.delays.transfer_ms, run.delays.delivery_ms());
+  if (run.live) {
+    out += "live camera: our own share counts from the picture in our memory, as measured\n";
+  } else {
+    out += fmt::format(
+        "simulated camera: exposure {:.3g} ms, readout {:.3g} ms, transfer {:.3g} ms: a picture is {:.3g} ms "
+        "old when it comes\n",
+        run.delays.exposure_ms, run.delays.readout_ms, run.delays.transfer_ms, run.delays.delivery_ms());
+  }
   for (const FlightFigures& f : run.flights) add_flight(&out, f);
   return out;
 }
@@ -118,6 +124,10 @@ std::string json(const Run& run) {
   uname(&machine);
   Json flights = Json::array();
   for (const FlightFigures& f : run.flights) flights.push_back(of(f));
+  const Json delays = {{"exposure", run.delays.exposure_ms},
+                       {"readout", run.delays.readout_ms},
+                       {"transfer", run.delays.transfer_ms},
+                       {"delivery", run.delays.delivery_ms()}};
   const Json out = {{"kind", "latency"},
                     {"schema", 1},
                     {"version", app::version_words(app::version())},
@@ -128,11 +138,7 @@ std::string json(const Run& run) {
                     {"input", run.input},
                     {"config", run.config_file},
                     {"fps", run.fps},
-                    {"camera_delays_ms",
-                     {{"exposure", run.delays.exposure_ms},
-                      {"readout", run.delays.readout_ms},
-                      {"transfer", run.delays.transfer_ms},
-                      {"delivery", run.delays.delivery_ms()}}},
+                    {"camera_delays_ms", run.live ? Json(nullptr) : delays},
                     {"flights", std::move(flights)}};
   // A name with broken UTF-8 must not make the file unreadable.
   return out.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";

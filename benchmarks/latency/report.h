@@ -14,7 +14,8 @@ struct Run {
   std::string input;
   std::string config_file;
   double fps = 0;
-  CameraDelays delays;
+  CameraDelays delays;  ///< simulated cameras
+  bool live = false;
   std::vector<FlightFigures> flights;
 };
 

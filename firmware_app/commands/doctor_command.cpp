@@ -8,6 +8,7 @@
 #include "firmware_app/commands/doctor_autopilot.h"
 #include "firmware_app/commands/doctor_detector.h"
 #include "firmware_app/commands/doctor_power.h"
+#include "firmware_app/commands/doctor_service.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/program/exit_code.h"
@@ -15,9 +16,9 @@
 namespace godwit::app {
 
 void add_doctor_command(CLI::App* app, DoctorArguments* a) {
-  CLI::App* doctor = app->add_subcommand(
-      "doctor",
-      "Look at camera, network, inertial sensor, bus and autopilot, and say what does not fit and what to set");
+  CLI::App* doctor = app->add_subcommand("doctor",
+                                         "Look at camera, network, inertial sensor, service, bus and autopilot, and "
+                                         "say what does not fit and what to set");
   doctor->add_option("--config", a->config_file, "Configuration (TOML); config/godwit.toml lists every key")
       ->type_name("FILE");
   add_link_options(doctor, &a->can, &a->mavlink);
@@ -56,6 +57,7 @@ int run_doctor(const DoctorArguments& a, const std::atomic<bool>& stop) {
                    camera.calibration.fps, &report);
   examine_imu("/", &report);
   examine_power("/", &report);
+  examine_service("/", config, &report);
   BusHeard heard;
   if (config.can.bus.empty()) {
     report.note("bus: none is configured (can.bus)");

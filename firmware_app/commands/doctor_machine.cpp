@@ -6,6 +6,7 @@
 #include <poll.h>
 #include <vector>
 
+#include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/link/dronecan/types.h"
 #include "firmware_app/pipeline/odometry_stage.h"
@@ -88,22 +89,35 @@ void judge(const std::string& name, hal::Camera* camera, const hal::CameraCalibr
 }  // namespace
 
 DoctorCamera examine_camera(const Config& config, const std::string& sequence, DoctorReport* report) {
+  using Source = Config::Camera::Source;
   DoctorCamera out;
-  if (!sequence.empty()) {
+  if (!sequence.empty() || config.camera.source == Source::kReplay) {
+    const std::string& folder = sequence.empty() ? config.camera.sequence : sequence;
     hal::ReplayOptions options;
     options.pace = hal::ReplayOptions::Pace::kReal;
-    auto camera = hal::ReplayCamera::open(sequence, options);
+    auto camera = hal::ReplayCamera::open(folder, options);
     if (!camera) {
       report->wrong("camera: " + camera.error().message);
       return out;
     }
     out.calibration = camera.value()->calibration();
-    judge("camera (sequence " + sequence + ")", camera.value().get(), out.calibration, report);
+    judge("camera (sequence " + folder + ")", camera.value().get(), out.calibration, report);
     out.camera = std::move(camera).value();
     return out;
   }
-  if (config.camera.source == Config::Camera::Source::kNone) {
+  if (config.camera.source == Source::kNone) {
     report->wrong("camera: none is configured (camera.source is \"none\"): godwitd would not start");
+    return out;
+  }
+  if (config.camera.source == Source::kV4l2) {
+    auto device = open_camera(config.camera, [](const std::string& words) { fmt::print("note   {}\n", words); });
+    if (!device) {
+      report->wrong(device.error().message);
+      return out;
+    }
+    out.calibration = device.value().calibration;
+    judge("camera " + config.camera.device, device.value().camera.get(), out.calibration, report);
+    out.camera = std::move(device.value().camera);
     return out;
   }
   const auto scenario = sim::find_scenario(config.camera.scenario, scenario_folder(config.camera.scenarios));

@@ -1,5 +1,7 @@
 #include "firmware_app/flight/pipeline_plan.h"
 
+#include <malloc.h>
+
 namespace godwit::app {
 
 void plan_pipeline(const Config& config, double fps, PipelineOptions* options) {
@@ -18,6 +20,8 @@ void plan_pipeline(const Config& config, double fps, PipelineOptions* options) {
 }
 
 std::string arm_memory(const Config& config) {
+  // What starting needed goes back first: locked, it would never.
+  malloc_trim(0);
   return config.threads.lock_memory ? rt::lock_memory() : std::string();
 }
 

@@ -2,6 +2,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <pthread.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
 
@@ -15,6 +16,13 @@ std::string lock_memory() {
     why += "; the limit is " + std::to_string(limit.rlim_cur / 1024) + " kB";
   }
   return why + " (raise LimitMEMLOCK, or give CAP_IPC_LOCK)";
+}
+
+void limit_unplanned_stacks(std::size_t bytes) {
+  pthread_attr_t attributes;
+  if (pthread_getattr_default_np(&attributes) != 0) return;
+  if (pthread_attr_setstacksize(&attributes, bytes) == 0) pthread_setattr_default_np(&attributes);
+  pthread_attr_destroy(&attributes);
 }
 
 PageFaults thread_page_faults() {

@@ -1,6 +1,7 @@
 // Memory that is there when it is needed: locking it, and counting where it was not.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -9,6 +10,10 @@ namespace godwit::rt {
 /// Locks all memory of this process, present and future, into RAM (mlockall): from here on no thread waits for a page.
 /// Returns what the machine refused and what would help, in words; empty: done. Blocks and allocates; before arming.
 std::string lock_memory();
+
+/// From here on threads that nobody plans (a library's, the log's) get stacks of this size, in place of the 8 MB that a
+/// shell's limit gives them: of locked memory all is there, used or not. Before the first of them starts.
+void limit_unplanned_stacks(std::size_t bytes);
 
 /// Pages that had to be brought in while a thread ran.
 struct PageFaults {

@@ -70,6 +70,7 @@ class Latency(unittest.TestCase):
                 self.assertEqual(thread.get('heap_operations', 0), 0, thread)
             if flight['frames']['tracked']:
                 self.assertGreaterEqual(flight['age_at_pose_ms']['median'], 16.5)
+                self.assertGreaterEqual(flight['delivery_ms']['median'], 16.5)
             self.assertIsNone(flight['age_at_bus_ms'])
         self.assertTrue((self.out / 'a.png').read_bytes().startswith(b'\x89PNG'))
         self.assertIn('our own share', done.stdout)
@@ -107,17 +108,52 @@ class Latency(unittest.TestCase):
         self.assertIn('/nowhere/at/all: neither the folder of a sequence nor a scenario', done.stderr)
 
     def test_output_that_cannot_be_made_is_told_before_flying(self):
-        done = run(LATENCY, *SHORT, '--json', self.out / 'no' / 'such' / 'folder.json')
+        for option, name in (('--json', 'folder.json'), ('--plot', 'folder.png')):
+            done = run(LATENCY, *SHORT, option, self.out / 'no' / 'such' / name)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn(name + ': cannot be created: No such file or directory', done.stderr)
+            self.assertEqual(done.stdout, '')
+
+    def test_nothing_to_fly_is_told(self):
+        done = run(LATENCY, '--seconds', 1)
         self.assertEqual(done.returncode, 2)
-        self.assertIn('folder.json', done.stderr)
+        self.assertIn('INPUT, or --camera FILE, is needed', done.stderr)
+
+    def test_a_camera_that_is_none_is_told(self):
+        config = self.out / 'camera.toml'
+        config.write_text('[camera]\nsource = "sim"\n')
+        done = run(LATENCY, '--camera', config, '--seconds', 1)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('camera.source: "v4l2" is what --camera flies', done.stderr)
+        config.write_text('[camera]\nsource = "v4l2"\ncalibration = "/nowhere.yaml"\n')
+        done = run(LATENCY, '--camera', config, '--seconds', 1)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('/nowhere.yaml', done.stderr)
+        self.assertEqual(run(LATENCY, 'street', '--camera', config).returncode, 2)
+
+    def test_a_camera_that_does_not_come_is_told_and_ends_in_time(self):
+        calibration, config = self.out / 'camera.yaml', self.out / 'camera.toml'
+        calibration.write_text('model: pinhole\nwidth: 320\nheight: 240\nfx: 225\nfy: 225\ncx: 160\ncy: 120\n'
+                               'distortion_model: radtan\ndistortion: [0, 0, 0, 0]\nimage_channels: 1\nfps: 30\n')
+        config.write_text(f'[camera]\nsource = "v4l2"\ndevice = "/dev/no_such_camera"\ncalibration = "{calibration}"\n')
+        done = run(LATENCY, '--camera', config, '--seconds', 1, '--detector', 'off', '--json', self.out / 'camera.json')
+        self.assertEqual(done.returncode, 1, done.stderr)
+        self.assertIn('/dev/no_such_camera', done.stderr)
+        self.assertIn('no pose was found', done.stdout)
+        figures = json.loads((self.out / 'camera.json').read_text())
+        self.validator.validate(figures)
+        self.assertIsNone(figures['camera_delays_ms'])
+        self.assertEqual(figures['flights'][0]['frames']['due'], 0)
 
     def test_a_full_disc_leaves_no_half_figures(self):
         def no_room():
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
-        done = run(LATENCY, *SHORT, '--detector', 'off', '--json', self.out / 'full.json', preexec_fn=no_room)
-        self.assertEqual(done.returncode, 1, done.stderr)
-        self.assertIn('full.json', done.stderr)
+        for option, name in (('--json', 'full.json'), ('--plot', 'full.png')):
+            done = run(LATENCY, *SHORT, '--detector', 'off', option, self.out / name, preexec_fn=no_room)
+            self.assertEqual(done.returncode, 1, done.stderr)
+            self.assertIn(name, done.stderr)
+            self.assertIn('File too large', done.stderr)
         self.assertEqual([p for p in os.listdir(self.out) if p.startswith('full')], [])
 
     def test_no_right_to_lock_is_said(self):

@@ -29,15 +29,29 @@ def silent(unit):
     return said.returncode == 0 and not said.stderr.strip(), said.stderr
 
 
+def keys_of(text):
+    """(section, key) of each line that sets one; of a list of keys as well."""
+    section, found = '', []
+    for line in text.splitlines():
+        if re.fullmatch(r'\[\w+\]', line):
+            section = line
+        elif match := re.match(r'([A-Za-z]+)(=|$)', line):
+            found.append((section, match.group(1)))
+    return found
+
+
 def main():
     if shutil.which('systemd-analyze') is None:
         print('SKIPPED: systemd-analyze is not there')
-        sys.exit(1 if os.environ.get('CI') == 'true' else 0)
-    known = {line.strip() for line in KEYS.read_text().splitlines() if line.strip() and not line.startswith('#')}
+        sys.exit(1 if os.environ.get('CI') == 'true' else 77)
+    known = set(keys_of(KEYS.read_text()))
     text = UNIT.read_text()
-    used = set(re.findall(r'^([A-Za-z]+)=', text, re.M))
-    if not used - known == set():
+    used = set(keys_of(text))
+    if used - known:
         fail(f'systemd 245 does not know {sorted(used - known)}')
+    # ProtectClock came with 245, ProtectProc with 247, ExitType with 250.
+    if ('[Service]', 'ProtectClock') not in known or {('[Service]', 'ProtectProc'), ('[Service]', 'ExitType')} & known:
+        fail(f'{KEYS.name} is not the list of systemd 245')
     if len(used) < 40:
         fail(f'only {len(used)} keys found: is this the unit?')
     with tempfile.TemporaryDirectory(prefix='godwit_unit.') as folder:

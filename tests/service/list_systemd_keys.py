@@ -1,0 +1,47 @@
+#!/usr/bin/python3
+"""Prints the keys of services that systemd VERSION knows, out of what a newer systemd's Debian package says of itself.
+
+  list_systemd_keys.py VERSION > tests/service/systemd_VERSION_keys.txt
+
+All keys that this machine's systemd knows (systemd --dump-configuration-items), less those of which its NEWS
+(/usr/share/doc/systemd/NEWS.gz) speaks under a later version and under none up to VERSION. That leaves out rather too many
+keys than too few; OLD brings back old ones of which NEWS speaks late.
+"""
+import gzip
+import re
+import subprocess
+import sys
+
+NEWS = '/usr/share/doc/systemd/NEWS.gz'
+# In systemd's own list of all directives, test/fuzz/fuzz-unit-file/directives.service, as it was long before 245
+# (systemd-stable, commit 78f9ad2e8c17).
+OLD = set('''ConditionFirstBoot InaccessiblePaths MemoryHigh MemoryMax PropagatesReloadTo RequiredBy StartupCPUWeight
+WantedBy'''.split())
+
+
+def main():
+    version = int(sys.argv[1])
+    parts = re.split(r'^CHANGES WITH (\d+)[^\n]*:\n', gzip.open(NEWS, 'rt').read(), flags=re.M)
+    told = {True: '', False: ''}
+    for number, text in zip(parts[1::2], parts[2::2]):
+        told[int(number) > version] += text
+    if not told[True] or not told[False]:
+        sys.exit(f'{NEWS} does not tell of versions before and after {version}')
+    known = subprocess.run(['/lib/systemd/systemd', '--dump-configuration-items'], check=True, capture_output=True,
+                           text=True).stdout
+    print(f'# Keys of services that systemd {version} knows; made by tests/service/list_systemd_keys.py, which says how.')
+    section = ''
+    for line in known.splitlines():
+        if line.startswith('['):
+            section = line
+            if section in ('[Unit]', '[Service]', '[Install]'):
+                print(section)
+        key = line.partition('=')[0]
+        if section not in ('[Unit]', '[Service]', '[Install]') or not re.fullmatch(r'\w+', key) or '=' not in line:
+            continue
+        of_later, of_earlier = (re.search(rf'(?<!\w){key}=', told[later]) for later in (True, False))
+        if not of_later or of_earlier or key in OLD:
+            print(key)
+
+
+main()
