@@ -114,8 +114,9 @@ void LinkRunner::look_at_machine(rt::TimeNs now_ns) {
   if (health == health_ && now_ns < t_next_health_ns_) return;
   if (now_ns >= t_next_health_ns_) {
     t_next_health_ns_ = now_ns + rt::kNsPerSecond;
-    const double temperature_c = machine_.read().temperature_c;
-    if (std::isfinite(temperature_c)) health.temperature_c = static_cast<float>(temperature_c);
+    const hal::MachineState machine = machine_.read();
+    if (std::isfinite(machine.temperature_c)) health.temperature_c = static_cast<float>(machine.temperature_c);
+    health.throttled = machine.throttled;
   }
   health_ = health;
   service_->publish(health);

@@ -130,6 +130,7 @@ void LinkNode::send_telemetry(rt::TimeNs now_ns) {
   snapshot.t_capture_ns = sample_.t_capture_ns;
   snapshot.age_ns = now_ns - sample_.t_capture_ns;
   snapshot.temperature_c = health_.temperature_c;
+  snapshot.throttled = health_.throttled;
   snapshot.pose = hold_.pose();
   telemetry_.send(snapshot, parameters_, &queue_, now_ns);
 }

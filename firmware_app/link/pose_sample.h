@@ -43,6 +43,7 @@ struct SystemHealth {
   bool process_ok = true;   ///< threads alive, no page faults or slips out of bounds
   bool detector_ok = true;  ///< its absence is a warning, no failure
   float temperature_c = 0;
+  bool throttled = false;  ///< the machine slows its processors down
   bool operator==(const SystemHealth&) const = default;
 };
 

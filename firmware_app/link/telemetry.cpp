@@ -50,7 +50,8 @@ void put_status(Packer* p, const TelemetrySnapshot& s) {
   p->raw(s.has_scale ? 1 : 0, 1);
   p->raw(s.has_gravity ? 1 : 0, 1);
   p->raw(s.pose.quality > 0 ? 1 : 0, 1);
-  p->raw(0, 2);
+  p->raw(s.throttled ? 1 : 0, 1);
+  p->raw(0, 1);
   p->signed_number(s.pose.quality, 1, 8);
   p->raw(s.reset_counter, 8);
   p->raw(s.map_id, 16);

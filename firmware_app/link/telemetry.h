@@ -24,6 +24,7 @@ struct TelemetrySnapshot {
   rt::TimeNs t_capture_ns = 0;
   rt::TimeNs age_ns = 0;  ///< since capture, when the snapshot was taken
   float temperature_c = 0;
+  bool throttled = false;  ///< the machine slows its processors down
   BodyPose pose;
 };
 

@@ -3,6 +3,10 @@
 # toml++, CLI11) are the same on every architecture: the machine's serve, by links, because the folder that holds them holds its
 # other headers too. OpenCV: OpenCVConfig.cmake.
 set(headers ${PROJECT_BINARY_DIR}/headers)
+if(CMAKE_CROSSCOMPILING)
+  # One for all build folders, so that their compiler commands are the same and ccache serves one from another.
+  set(headers ${CMAKE_SYSROOT}/usr/share/headers_of_the_machine)
+endif()
 file(MAKE_DIRECTORY ${headers})
 foreach(name CLI fmt hwy nlohmann toml++)
   if(NOT EXISTS /usr/include/${name})
