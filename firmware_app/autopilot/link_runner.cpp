@@ -73,15 +73,22 @@ LinkRunner::~LinkRunner() {
   finish();
 }
 
+void LinkRunner::await_end(const std::atomic<bool>& ended, const char* thread, rt::TimeNs give_up_ns) const {
+  while (options_.abandon && !ended.load(std::memory_order_acquire)) {
+    if (rt::monotonic_now_ns() > give_up_ns) options_.abandon(thread);
+    rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+  }
+}
+
 const link::LinkStatus& LinkRunner::finish() {
   ending_.store(true, std::memory_order_relaxed);
-  link_thread_.join();
+  const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + kEndPatienceNs;
+  if (link_thread_.running()) {
+    await_end(link_ended_, "gw-link", give_up_ns);
+    link_thread_.join();
+  }
   if (keeper_thread_.joinable()) {
-    const rt::TimeNs give_up = rt::monotonic_now_ns() + kEndPatienceNs;
-    while (options_.abandon && !keeper_ended_.load(std::memory_order_acquire)) {
-      if (rt::monotonic_now_ns() > give_up) options_.abandon("gw-link-keep");
-      rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
-    }
+    await_end(keeper_ended_, "gw-link-keep", give_up_ns);
     keeper_thread_.join();
   }
   service_->take_status(&status_);
@@ -136,6 +143,7 @@ void LinkRunner::run_link() {
   }
   link_pulse_.end();
   faults_ = rt::thread_page_faults() - before;
+  link_ended_.store(true, std::memory_order_release);
 }
 
 void LinkRunner::run_keeper() {

@@ -33,7 +33,7 @@ struct LinkRunnerOptions {
   /// Both threads beat in it, and the node's health says when any thread in it is silent. May be null; outlives the
   /// runner.
   rt::Heartbeats* heartbeats = nullptr;
-  /// Called by finish() where the keeper does not end in kEndPatienceNs; must not return. Null: it is waited for.
+  /// Called by finish() where a thread does not end in kEndPatienceNs; must not return. Null: it is waited for.
   std::function<void(const char* thread)> abandon;
 };
 
@@ -79,6 +79,7 @@ class LinkRunner final : public FrameTap {
   rt::Result<void> start_threads();
   void run_link();
   void run_keeper();
+  void await_end(const std::atomic<bool>& ended, const char* thread, rt::TimeNs give_up_ns) const;
   void watch(const link::LinkStatus& status);
   void look_at_machine(rt::TimeNs now_ns);
   void tell(LinkLogLevel level, const std::string& text) const;
@@ -89,9 +90,10 @@ class LinkRunner final : public FrameTap {
   const std::atomic<bool>& user_stop_;
   /// finish() -> both threads: end. Relaxed, as the two below: nothing is ordered by them.
   std::atomic<bool> ending_{false};
-  std::atomic<bool> stop_{false};          ///< link thread -> pipeline
-  std::atomic<bool> keeper_ended_{false};  ///< keeper -> finish()
-  std::atomic<bool> restart_due_{false};   ///< link thread -> keeper and the pipeline's caller
+  std::atomic<bool> stop_{false};  ///< link thread -> pipeline
+  /// Each thread -> finish(): it has nothing left to do. Release at its end, acquire before the join.
+  std::atomic<bool> link_ended_{false}, keeper_ended_{false};
+  std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
   /// Tracker -> keeper: when it last gave a sign of life (0: not yet), and what it sees of the others. Relaxed:
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
   /// silence by then.

@@ -1,12 +1,35 @@
 #include "firmware_app/autopilot/link_runner.h"
 
+#include <csignal>
+#include <filesystem>
+#include <fstream>
 #include <gtest/gtest.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "hal/rt/wake_up.h"
 
 namespace godwit::app {
 namespace {
+
+/// A thread that gets this signal stands, until it is let go.
+std::atomic<bool> stands{false};
+void stand(int /*signal*/) {
+  while (stands.load()) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+}
+
+void stop_thread(const std::string& name) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string said;
+    std::getline(std::ifstream(task.path() / "comm"), said);
+    if (said != name) continue;
+    std::signal(SIGUSR1, stand);
+    stands.store(true);
+    syscall(SYS_tgkill, getpid(), std::stoi(task.path().filename()), SIGUSR1);
+    return;
+  }
+  ADD_FAILURE() << "no thread " << name;
+}
 
 /// A link on a bus of its own, and this thread in the tracker's place.
 class LinkRunnerTest : public ::testing::Test {
@@ -23,8 +46,9 @@ class LinkRunnerTest : public ::testing::Test {
       while (log_hangs_.load()) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
     };
     options.abandon = [this](const char* thread) {
-      abandoned_ = thread;
+      abandoned_ = thread;  // a program would end here
       log_hangs_.store(false);
+      stands.store(false);
     };
     auto started = LinkRunner::start(options, user_stop_);
     ASSERT_TRUE(started.ok()) << started.error().message;
@@ -124,6 +148,18 @@ TEST_F(LinkRunnerTest, ARepeatedPictureIsNotPublishedAndCounted) {
   bool told = false;
   for (const std::string& line : link_report(status)) told = told || line.starts_with("5 pictures were the one before");
   EXPECT_TRUE(told);
+}
+
+TEST_F(LinkRunnerTest, ALinkThreadThatHangsIsNamedAndKeepsNoEndAway) {
+  stop_thread("gw-link");
+  const rt::TimeNs begin = rt::monotonic_now_ns();
+  while (heartbeats_.silent(rt::monotonic_now_ns()).name == nullptr &&
+         rt::monotonic_now_ns() - begin < 20 * rt::kNsPerSecond) {
+    frame();
+  }
+  EXPECT_STREQ(heartbeats_.silent(rt::monotonic_now_ns()).name, "gw-link");
+  runner_->finish();
+  EXPECT_EQ(abandoned_, "gw-link");
 }
 
 TEST_F(LinkRunnerTest, AfterASilenceTheReasonsGo) {
