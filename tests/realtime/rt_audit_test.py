@@ -1,11 +1,11 @@
-"""toolchain/rt_audit on the real archives, and on one with deliberate offences: rt_audit_test.py TOOLCHAIN ARCHIVE.."""
+"""toolchain/rt_audit on the real archives, and on one with deliberate offences: rt_audit_test.py TOOLCHAIN LIST ARCHIVE.."""
 import pathlib
 import subprocess
 import sys
 import tempfile
 
 AUDIT = pathlib.Path(sys.argv[1]) / 'rt_audit'
-LIST = pathlib.Path(sys.argv[1]) / 'rt_audit.txt'
+LIST = pathlib.Path(sys.argv[1]) / sys.argv[2]
 OFFENDER = '''
 #include <mutex>
 #include <string>
@@ -15,6 +15,9 @@ void lock(std::mutex& m) { m.lock(); }
 void text(std::string& s) { s.append("x"); }
 void grow(std::vector<int>& v) { v.push_back(1); }
 int innocent(int a) { return a + 1; }
+namespace { __attribute__((noinline)) int* deep(int a) { return a > 3 ? new int(a) : nullptr; } }
+__attribute__((noinline)) int* middle(int a) { return deep(a + 1); }
+int* thread_body(int a) { return middle(a) + 1; }
 '''
 
 
@@ -24,9 +27,9 @@ def audit(*arguments):
 
 
 def main():
-    code, said = audit(LIST, *sys.argv[2:])
+    code, said = audit(LIST, *sys.argv[3:])
     print(said)
-    assert code == 0, 'the archives call what no line of rt_audit.txt explains, or a line explains nothing'
+    assert code == 0, f'the archives call what no line of {LIST.name} explains, or a line explains nothing'
 
     with tempfile.TemporaryDirectory() as folder:
         root = pathlib.Path(folder)
@@ -45,6 +48,16 @@ def main():
         assert code == 1 and 'list.txt:2: explains a call that is not there' in said, said
         (root / 'list.txt').write_text('.* | .* | all of it\n')
         assert audit(root / 'list.txt', root / 'offender.a')[0] == 0
+
+        # From where a thread enters: what it reaches, and only that.
+        (root / 'list.txt').write_text('FROM thread_body\\(.* | some thread\n')
+        code, said = audit(root / 'list.txt', root / 'offender.a')
+        assert code == 1 and 'deep(int) calls operator new' in said and 'leak()' not in said, said
+        (root / 'list.txt').write_text('FROM innocent\\(.* | some thread\n')
+        assert audit(root / 'list.txt', root / 'offender.a')[0] == 0
+        (root / 'list.txt').write_text('FROM innocent\\(.* | some thread\nFROM gone\\(.* | some thread\n')
+        code, said = audit(root / 'list.txt', root / 'offender.a')
+        assert code == 1 and 'list.txt:2: no such function' in said, said
 
 
 main()
