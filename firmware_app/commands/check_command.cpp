@@ -4,6 +4,7 @@
 #include <CLI/Formatter.hpp>
 #include <fmt/format.h>
 #include <optional>
+#include <unistd.h>
 
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/flight/config_check.h"
@@ -38,6 +39,9 @@ int run_check(const CheckArguments& a) {
   }
   const link::LinkSettings settings = link_settings(report.config, std::nullopt);
   if (wants_link(report.config) && !settings.state_folder.empty()) {
+    if (access(settings.state_folder.c_str(), W_OK | X_OK) != 0) {
+      fmt::print("{}: warning: {} cannot be written to: nothing will be kept\n", a.config_file, settings.state_folder);
+    }
     link::StoredState saved = link::Storage(settings.state_folder).peek(settings.link.parameters);
     // Whether the interface takes CAN FD is seen when it is opened.
     link::drop_what_does_not_fit(settings.link.parameters, {!settings.can.empty(), !settings.mavlink.empty(), true},

@@ -1,10 +1,7 @@
 #include "firmware_app/flight/config_check.h"
 
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <filesystem>
-#include <unistd.h>
 
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/flight/devices.h"
@@ -41,8 +38,6 @@ void check_state_folder(ConfigReport* report) {
   if (folder.empty() || !wants_link(report->config)) return;
   if (!std::filesystem::is_directory(folder)) {
     report->mistake("link.state_folder", "\"" + folder + "\" is not there or no folder");
-  } else if (access(folder.c_str(), W_OK | X_OK) != 0) {
-    report->mistake("link.state_folder", "\"" + folder + "\" cannot be written to: " + std::strerror(errno));
   }
 }
 

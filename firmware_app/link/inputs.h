@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 
 #include "firmware_app/link/dronecan/transfer.h"
@@ -34,6 +35,15 @@ struct AutopilotInput {
 };
 
 using InputRing = rt::SpscRing<AutopilotInput, 512>;
+
+/// The reader's side: the oldest that waits; false where nothing does. A ring that is full had no room for what came
+/// since: what waits in it is old, and is passed over.
+inline bool take_input(InputRing* ring, AutopilotInput* input) {
+  if (ring->size() == InputRing::capacity()) {
+    for (std::size_t i = 0; i < InputRing::capacity(); ++i) ring->try_pop(input);
+  }
+  return ring->try_pop(input);
+}
 
 /// Reads a MAVLink message as an input; false where it is none, or holds a number that is not finite.
 bool input_from_mavlink(const mavlink::RawMessage& raw, AutopilotInput* out);

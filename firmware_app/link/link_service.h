@@ -42,8 +42,9 @@ class LinkService {
   void picture_repeated() { node_->picture_repeated(rt::monotonic_now_ns()); }
   /// One other thread, whoever watches the machine.
   void publish(const SystemHealth& health) { health_.write(health); }
-  /// The pipeline: what the autopilot told, oldest first; false where nothing waits.
-  bool take_input(AutopilotInput* input) { return inputs_.try_pop(input); }
+  /// The pipeline: what the autopilot told, oldest first; false where nothing waits. Who was away for too long hears
+  /// what comes from now on.
+  bool take_input(AutopilotInput* input) { return link::take_input(&inputs_, input); }
   /// A thread for log and display: the newest status; false where it has been read already.
   bool take_status(LinkStatus* status) { return status_.read(status); }
 

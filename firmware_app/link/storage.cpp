@@ -35,11 +35,20 @@ bool is_there(const std::string& path) {
 
 rt::Result<StoredState> Storage::load(const ParameterValues& defaults) {
   if (folder_.empty()) return peek(defaults);
-  if (access(folder_.c_str(), W_OK | X_OK) != 0) return rt::Error{"link: state folder " + error_text(folder_)};
+  if (access(folder_.c_str(), X_OK) != 0) return rt::Error{"link: state folder " + error_text(folder_)};
   if (lock_fd_ < 0) {
     const std::string lock = folder_ + "/lock";
     lock_fd_ = open(lock.c_str(), O_RDWR | O_CREAT | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
-    if (lock_fd_ < 0) return rt::Error{"link: state folder " + error_text(lock)};
+    if (lock_fd_ < 0 && errno == ELOOP) return rt::Error{"link: state folder " + error_text(lock)};
+    if (lock_fd_ < 0) {
+      // A disc that is read-only or full grounds nobody. Which reset counters were used before cannot be kept: it
+      // begins where the clock says, as likely as not elsewhere.
+      const std::string why = error_text(lock);
+      StoredState state = peek(defaults);
+      state.warnings.push_back(why + "; nothing can be kept, and whether another godwit uses this folder is not known");
+      state.reset_counter = static_cast<std::uint8_t>(std::time(nullptr) & 0xFF);
+      return state;
+    }
     if (flock(lock_fd_, LOCK_EX | LOCK_NB) != 0) {
       close(lock_fd_);
       lock_fd_ = -1;

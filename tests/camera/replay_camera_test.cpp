@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "hal/rt/frame_pool.h"
+#include "hal/rt/wake_up.h"
 #include "tests/support/tiny_sequence.h"
 
 namespace godwit::hal {
@@ -255,12 +256,56 @@ TEST(ReplayCamera, AtRealPaceNoPictureComesBeforeItsTime) {
   rt::TimeNs first = 0;
   for (int i = 0; i < 4; ++i) {
     CapturedFrame frame;
-    ASSERT_EQ(camera->next({grey.data, grey.cols, grey.rows, grey.cols}, nullptr, 0, &frame, nullptr),
+    ASSERT_EQ(camera->next({grey.data, grey.cols, grey.rows, grey.cols}, nullptr, rt::kNsPerSecond, &frame, nullptr),
               CameraStatus::kFrame);
     EXPECT_GE(rt::monotonic_now_ns(), frame.t_capture_ns);
     if (i == 0) first = frame.t_capture_ns;
     EXPECT_EQ(frame.t_capture_ns - first, i * 50'000'000);
   }
+}
+
+TEST(ReplayCamera, AGapOfAnHourAtRealPaceIsWaitedForInPieces) {
+  const TempFolder folder;
+  test::write_tiny_tum(folder.path(), 2);
+  write_file(folder / "rgb.txt", "100.0 rgb/0000.png\n3700.0 rgb/0001.png\n");
+  ReplayOptions options;
+  options.pace = ReplayOptions::Pace::kReal;
+  const auto camera = open(folder.path(), options);
+  ASSERT_NE(camera, nullptr);
+  cv::Mat grey(test::kTinyHeight, test::kTinyWidth, CV_8UC1);
+  const rt::MutableImageView view{grey.data, grey.cols, grey.rows, grey.cols};
+  CapturedFrame frame;
+  ASSERT_EQ(camera->next(view, nullptr, rt::kNsPerSecond, &frame, nullptr), CameraStatus::kFrame);
+  for (int i = 0; i < 3; ++i) {
+    const rt::TimeNs begin = rt::monotonic_now_ns();
+    EXPECT_EQ(camera->next(view, nullptr, 20 * rt::kNsPerMs, &frame, nullptr), CameraStatus::kTimeout);
+    EXPECT_GE(rt::monotonic_now_ns() - begin, 20 * rt::kNsPerMs);
+  }
+  EXPECT_EQ(camera->counters().delivered, 1u);
+}
+
+TEST(ReplayCamera, AtRealPaceWhoFellBehindIsSoonWhereACameraWouldBe) {
+  const TempFolder folder;
+  test::write_tiny_tum(folder.path(), 2);
+  ReplayOptions options;
+  options.pace = ReplayOptions::Pace::kReal;
+  options.passes = 1'000'000;
+  const auto camera = open(folder.path(), options);
+  ASSERT_NE(camera, nullptr);
+  cv::Mat grey(test::kTinyHeight, test::kTinyWidth, CV_8UC1);
+  const rt::MutableImageView view{grey.data, grey.cols, grey.rows, grey.cols};
+  CapturedFrame frame;
+  std::string why;
+  ASSERT_EQ(camera->next(view, nullptr, rt::kNsPerSecond, &frame, nullptr), CameraStatus::kFrame);
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 2 * rt::kNsPerSecond);
+  int passed_over = 0;
+  while (camera->next(view, nullptr, rt::kNsPerSecond, &frame, &why) == CameraStatus::kBadFrame) {
+    ++passed_over;
+    EXPECT_THAT(why, HasSubstr("too late: passed over unread"));
+  }
+  EXPECT_GE(passed_over, 29) << "a second and a half of them";
+  EXPECT_EQ(camera->counters().too_late, static_cast<std::uint64_t>(passed_over));
+  EXPECT_EQ(camera->counters().delivered, 2u);
 }
 
 TEST(ReplayCamera, ReadsTheEurocLayoutFromAllThreeFolders) {

@@ -137,6 +137,14 @@ TEST_F(StorageTest, TwoInOneFolderAreOneTooMany) {
   EXPECT_TRUE(Storage(folder).load(fallback_values()).ok()) << "free again";
 }
 
+TEST_F(StorageTest, AFolderThatCannotBeWrittenToGroundsNobody) {
+  Storage storage("/proc/self");  // not even by root
+  const auto state = storage.load(fallback_values());
+  ASSERT_TRUE(state.ok()) << state.error().message;
+  ASSERT_EQ(state.value().warnings.size(), 1u);
+  EXPECT_NE(state.value().warnings[0].find("nothing can be kept"), std::string::npos);
+}
+
 TEST_F(StorageTest, PipesAndPlantedLinksNeitherHoldNorLead) {
   ASSERT_EQ(mkfifo((folder + "/link_parameters.txt").c_str(), 0600), 0);
   Storage storage(folder);
@@ -400,6 +408,21 @@ TEST(MavlinkParser, FindsMessagesInNoiseAndCountsWhatItPassesOver) {
     EXPECT_GT(parser.counters().unknown, 0U);
     EXPECT_GT(parser.counters().incompatible, 0U);
   }
+}
+
+TEST(Inputs, AReaderThatWasAwayHearsWhatComesNowNotWhatWas) {
+  const auto ring = std::make_unique<InputRing>();
+  AutopilotInput input;
+  for (std::size_t i = 0; i < 2 * InputRing::capacity(); ++i) {
+    input.t_arrival_ns = static_cast<rt::TimeNs>(i);
+    ring->try_push(input);
+  }
+  EXPECT_FALSE(take_input(ring.get(), &input)) << "512 that are old";
+  input.t_arrival_ns = 4000;
+  ASSERT_TRUE(ring->try_push(input));
+  ASSERT_TRUE(take_input(ring.get(), &input));
+  EXPECT_EQ(input.t_arrival_ns, 4000);
+  EXPECT_FALSE(take_input(ring.get(), &input));
 }
 
 TEST(Inputs, AreScaledAndNonsenseIsRefused) {

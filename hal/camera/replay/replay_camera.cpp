@@ -12,6 +12,9 @@ namespace fs = std::filesystem;
 
 /// Time between the first call and the first picture at real pace: enough to decode it.
 constexpr rt::TimeNs kLeadNs = 50 * rt::kNsPerMs;
+/// At real pace a picture that comes later is not decoded: whoever has fallen behind, because the machine stood or is
+/// too slow for all of them, is soon where a camera would be.
+constexpr rt::TimeNs kTooLateNs = 500 * rt::kNsPerMs;
 /// A wrong calibration shows within this many pictures that can be decoded.
 constexpr int kPicturesProbed = 5;
 
@@ -131,20 +134,27 @@ rt::Result<void> ReplayCamera::check_size() {
   return rt::Error{mismatch};
 }
 
-CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs /*timeout_ns*/,
+CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                                 CapturedFrame* frame, std::string* why) {
   if (next_ >= total_) return CameraStatus::kEnd;
   rt::TimeNs t_ns = 0;
   const SequenceEntry& entry = entry_at(next_, &t_ns);
-  if (next_ == 0) {
-    const rt::TimeNs first_capture =
-        options_.pace == ReplayOptions::Pace::kReal ? rt::monotonic_now_ns() + kLeadNs : rt::kNsPerSecond;
+  const bool real_pace = options_.pace == ReplayOptions::Pace::kReal;
+  if (!begun_) {
+    begun_ = true;
+    const rt::TimeNs first_capture = real_pace ? rt::monotonic_now_ns() + kLeadNs : rt::kNsPerSecond;
     rebase_ns_ = first_capture - t_ns;
     if (options_.time != nullptr) options_.time->pin(t_ns, first_capture);
   }
   frame->t_source_ns = t_ns;
   frame->t_capture_ns = t_ns + rebase_ns_;
   frame->sequence = static_cast<std::uint32_t>(next_);
+  // However long a gap in the recording is, whoever waits wants to look at other things meanwhile.
+  const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
+  if (real_pace && entry.fault == TimeFault::kNone && frame->t_capture_ns > give_up) {
+    rt::sleep_until_ns(give_up);
+    return CameraStatus::kTimeout;
+  }
   ++next_;
 
   const auto bad = [&](std::uint64_t* counter, const std::string& reason) {
@@ -155,15 +165,19 @@ CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* 
   const std::string at = layout_.index_file + ":" + std::to_string(entry.line) + ": time " + format_seconds(entry.t_ns);
   if (entry.fault == TimeFault::kRepeats) return bad(&counters_.time_repeated, at + " repeats");
   if (entry.fault == TimeFault::kGoesBack) return bad(&counters_.time_went_back, at + " goes back");
+  if (real_pace && rt::monotonic_now_ns() - frame->t_capture_ns > kTooLateNs) {
+    return bad(&counters_.too_late, at + " came " + format_seconds(rt::monotonic_now_ns() - frame->t_capture_ns) +
+                                        " s too late: passed over unread");
+  }
   if (grey.data == nullptr) {
-    if (options_.pace == ReplayOptions::Pace::kReal) rt::sleep_until_ns(frame->t_capture_ns);
+    if (real_pace) rt::sleep_until_ns(frame->t_capture_ns);
     ++counters_.passed_over;
     return CameraStatus::kFrame;
   }
   const std::string file = picture_file(entry);
   const auto loaded = decoder_.load(file);
   // A bad picture comes due at its time as well: a gap in the pictures is a gap in time.
-  if (options_.pace == ReplayOptions::Pace::kReal) rt::sleep_until_ns(frame->t_capture_ns);
+  if (real_pace) rt::sleep_until_ns(frame->t_capture_ns);
   if (!loaded) return bad(&counters_.bad_pictures, loaded.error().message);
   if (decoder_.width() != width() || decoder_.height() != height()) {
     return bad(&counters_.bad_pictures, file + ": " + std::to_string(decoder_.width()) + " x " +

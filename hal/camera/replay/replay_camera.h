@@ -48,6 +48,7 @@ struct ReplayCounters {
   std::uint64_t time_repeated = 0;   ///< skipped for the time in the index
   std::uint64_t time_went_back = 0;  ///< skipped for the time in the index
   std::uint64_t passed_over = 0;     ///< the caller had no room
+  std::uint64_t too_late = 0;        ///< at real pace: the machine stood, or is too slow for all of them
 };
 
 /// See Camera. Decodes in next(), with OpenCV: call it from a feeder thread. Every picture of the chosen part of the
@@ -89,6 +90,7 @@ class ReplayCamera final : public Camera {
   ReplayCounters counters_;
   std::int64_t first_ = 0, last_ = 0;  ///< places in the index
   std::int64_t next_ = 0, total_ = 0;  ///< pictures due so far, and in all
+  bool begun_ = false;                 ///< rebase_ns_ is set
   std::vector<std::int64_t> way_;      ///< several passes: places in the index, from end to end
   rt::TimeNs rebase_ns_ = 0;           ///< capture time = listed time + rebase_ns_
 };
