@@ -32,6 +32,8 @@ struct BundleReport {
   int outliers = 0;
 };
 
+struct BundleProblem;
+
 class BundleAdjuster {
  public:
   static constexpr int kMaxFree = 24;
@@ -49,9 +51,9 @@ class BundleAdjuster {
   /// No allocation; bounded.
   BundleReport run(Map* map, int centre);
 
-  /// After run(): how certain the centre is relative to the other keyframes that were adjusted with it, from the
-  /// information at the solution and the noise that the residuals show. Of centre 0 when nothing was adjusted or the
-  /// information does not suffice. No allocation; bounded; costs about as much as one iteration.
+  /// After run(): how certain the centre is relative to the other keyframes that were adjusted with it
+  /// (bundle_shares.cpp). Of centre 0 when nothing was adjusted or the information does not suffice. No allocation;
+  /// bounded; costs about as much as one iteration.
   void shares(const Map& map, MapShares* out);
 
   /// After run(): places of the keyframes that moved, indices of points that moved, outlier observations.
@@ -63,8 +65,7 @@ class BundleAdjuster {
   Observation outlier(int i) const;
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  std::unique_ptr<BundleProblem> problem_;
 };
 
 }  // namespace godwit::vo

@@ -1,14 +1,11 @@
 // How certain a pose is: relative to a keyframe of the map, and in the map as a whole, with the share of the map's own
 // errors in it. What the pose optimiser says (own noise of one frame, the map taken for true) is only the smaller part.
 //
-// The model. Let N be the keyframe that the mapper adjusted last, K an older one, C the frame at hand. From the bundle
-// adjustment's information, points eliminated, follows the covariance of N relative to K, C(N,K). It is the sum of N's
-// own noise as if all points were known, H_N^-1, and of what the errors of the points relative to K make of N's pose:
-//   M(N,K) = C(N,K) - H_N^-1,
-// positive semidefinite, because to know more never makes a Gaussian less certain. The frame C looks at the same
-// points: it shares M, carried to its own axes by the adjoint, and has its own noise, H_C^-1:
+// The model. Let N be the keyframe that the mapper adjusted last, K an older one, C the frame at hand. M(N,K) is what
+// the errors of the points relative to K make of N's pose (bundle_shares.cpp). The frame C looks at the same points: it
+// shares M, carried to its own axes by the adjoint, and has its own noise, H_C^-1:
 //   C(C,K) = H_C^-1 + Ad(T_CN) M(N,K) Ad(T_CN)^T.
-// Where K is N itself, N hangs on the points just as C does: M(N,N) = H_N^-1.
+// Where K is N itself, N hangs on the points just as C does: M(N,N) = H_N^-1, as N's own residuals have it.
 #pragma once
 
 #include <array>

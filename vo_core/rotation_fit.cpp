@@ -10,6 +10,16 @@ constexpr int kSteps = 4;
 constexpr double kMinWidthPx = 0.5;
 }  // namespace
 
+bool rotation_residual(const Mat3& R, const Vec2& a, const Vec2& b, double focal_px, Vec2* r, Mat23* J) {
+  const Vec3 q = R * Vec3(a.x(), a.y(), 1.0);
+  if (!(q.z() > 1e-3)) return false;
+  const double u = q.x() / q.z(), v = q.y() / q.z();
+  *r = focal_px * (Vec2(u, v) - b);
+  *J << -u * v, 1 + u * u, -v, -1 - v * v, u * v, u;
+  *J *= focal_px;
+  return true;
+}
+
 double fit_rotation(std::span<const Vec2> a, std::span<const Vec2> b, double focal_px, std::span<double> scratch,
                     Mat3* R) {
   const std::size_t n = std::min({a.size(), b.size(), scratch.size()});
@@ -29,13 +39,9 @@ double fit_rotation(std::span<const Vec2> a, std::span<const Vec2> b, double foc
     Mat3 A = Mat3::Zero();
     Vec3 g = Vec3::Zero();
     for (std::size_t i = 0; i < n; ++i) {
-      const Vec3 q = *R * Vec3(a[i].x(), a[i].y(), 1.0);
-      if (!(q.z() > 1e-3)) continue;
-      const double u = q.x() / q.z(), v = q.y() / q.z();
-      const Vec2 r = focal_px * (Vec2(u, v) - b[i]);
-      Mat23 J;  // by a rotation vector from the left
-      J << -u * v, 1 + u * u, -v, -1 - v * v, u * v, u;
-      J *= focal_px;
+      Vec2 r;
+      Mat23 J;
+      if (!rotation_residual(*R, a[i], b[i], focal_px, &r, &J)) continue;
       const double weight = width * width / (width * width + r.squaredNorm());
       A.noalias() += weight * (J.transpose() * J);
       g.noalias() += weight * (J.transpose() * r);

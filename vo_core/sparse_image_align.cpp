@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
+#include "vo_core/align_warp.h"
 #include "vo_core/patch.h"
 
 namespace godwit::vo {
@@ -29,12 +30,7 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
     patch.visible = true;
     patch.p_ref = points[i].p_ref;
     patch.row = static_cast<double>(points[i].px.y());
-    Eigen::Matrix<double, 2, 6> J;
-    J.leftCols<3>() = Jp;
-    J.rightCols<3>() = -Jp * skew(points[i].p_ref);
-    // By the time its row is read, more of the motion between the frames has come to pass than at the capture time, or
-    // less.
-    patch.J = J.cast<float>() * (scale * static_cast<float>(1.0 + row_time(patch.row)));
+    patch.J = align_jacobian(Jp, points[i].p_ref, row_time(patch.row)).cast<float>() * scale;
 
     alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
     sample_grid(ref, px.x() - kHalf - 1, px.y() - kHalf - 1, 2, 6, window);
@@ -79,15 +75,12 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
   b->setZero();
   float total = 0.0f, weight_sum = 0.0f;
   int used = 0;
-  const bool rolling = shutter_.readout > 0.0;
-  const Vec6 motion = rolling ? T_cur_ref.log() : Vec6::Zero();
+  const Vec6 motion = shutter_.readout > 0.0 ? T_cur_ref.log() : Vec6::Zero();
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
     if (!patch.visible) continue;
-    Vec3 p_cur = T_cur_ref * patch.p_ref;
-    if (rolling) p_cur += row_time(patch.row) * (motion.head<3>() + motion.tail<3>().cross(p_cur));
     Vec2 px0;
-    if (!camera_.project(p_cur, &px0)) continue;
+    if (!camera_.project(align_warp(T_cur_ref, motion, patch.p_ref, row_time(patch.row)), &px0)) continue;
     patch.row = std::clamp(px0.y(), 0.0, static_cast<double>(camera_.height()));
     const Vec2f px = to_level(px0.cast<float>(), level);
     if (!(px.x() >= kHalf && px.y() >= kHalf && px.x() < static_cast<float>(cur.width - kHalf - 1) &&

@@ -3,6 +3,8 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 
+#include "vo_core/reprojection.h"
+
 namespace godwit::vo {
 
 double optimize_structure(const CameraModel& camera, const Map& map, const MapPoint& point, int max_iterations,
@@ -17,18 +19,11 @@ double optimize_structure(const CameraModel& camera, const Map& map, const MapPo
     for (int i = 0; i < point.observation_count; ++i) {
       const Keyframe& kf = map.keyframe(point.observations[i].keyframe);
       const KeyframeFeature& f = kf.features[point.observations[i].feature];
-      Vec2 px;
-      Mat23 Jp;
-      if (!camera.project(kf.T_kf_world * p, &px, &Jp)) continue;
-      const double s = 1.0 / (1 << f.level);
-      Vec2 r = (f.px_global.cast<double>() - px) * s;
-      Mat23 J = s * Jp * kf.T_kf_world.R;
-      if (f.type == FeatureType::kEdgelet) {
-        const Vec2 g = f.gradient.cast<double>();
-        r = Vec2(g.dot(r), 0.0);
-        J.row(0) = g.transpose() * J;
-        J.row(1).setZero();
-      }
+      const ImageObservation seen{f.px_global.cast<double>(), f.gradient.cast<double>(), 1.0 / (1 << f.level),
+                                  f.type == FeatureType::kEdgelet};
+      Vec2 r;
+      Mat23 J;
+      if (!reprojection_residual(camera, seen, kf.T_kf_world, p, &r, &J)) continue;
       sum += r.squaredNorm();
       ++n;
       H.noalias() += J.transpose() * J;

@@ -2,9 +2,13 @@
 #include <algorithm>
 
 #include "vo_core/match_noise.h"
+#include "vo_core/matcher.h"
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
+namespace {
+constexpr float kMaxTrackErrorPx = 2.0f;
+}  // namespace
 
 bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* result) {
   if (reset_pending_) {
@@ -104,15 +108,26 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     f.px_global = p.px_ref_global;
     f.level = p.level;
     f.point = {static_cast<std::uint16_t>(i), map_->point(i).generation};
-    map_->activate_point(f.point, p.p_ref);
+    // As the message has it: the two maps are equal to the bit.
+    map_->activate_point(f.point, p.p_ref.cast<float>().cast<double>());
   }
   median_depth_ = scene_depth(first_.T_cam_world, &min_depth_);
   const int place1 = insert_keyframe(first_, 1);
   send(MessageKind::kKeyframe, &first_, 1, place1);
   for (int i = 0; i < n; ++i) {
     const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
-    features_[i].px = p.px_cur;
-    features_[i].px_global = p.px_cur_global;
+    FrameFeature& f = features_[i];
+    f.px = p.px_cur;
+    f.px_global = p.px_cur_global;
+    // The track knew nothing of how the patch turns and stretches between the two views; the map does.
+    const PatchSource source{&first_.pyramid, &map_->keyframe(place1).features[static_cast<std::size_t>(i)],
+                             p.p_ref.norm()};
+    const MatchResult m =
+        match_direct(camera_, source, current.T_cam_world, current.pyramid, p.px_cur, options_.reprojector.max_level);
+    if (!m.found || (m.px - p.px_cur).norm() > kMaxTrackErrorPx) continue;
+    f.px = m.px;
+    f.px_global += m.px - p.px_cur;
+    f.level = static_cast<std::int8_t>(m.level);
   }
   median_depth_ = scene_depth(current.T_cam_world, &min_depth_);
   const int place2 = insert_keyframe(current, 2);

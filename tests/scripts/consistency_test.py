@@ -82,9 +82,8 @@ class Consistency(unittest.TestCase):
     def write_truth(self, noise=TruthNoise()):
         lines = []
         for i in range(FRAMES):
-            R, p = pose(i / RATE)
             p = pose(i / RATE - noise.lag_s)[1] + noise.position_m * self.rng.normal(size=3)
-            q = evaluate.quaternion(R @ exp_so3(noise.rotation_rad * self.rng.normal(size=3)))
+            q = evaluate.quaternion(pose(i / RATE - noise.turn_lag_s)[0] @ exp_so3(noise.rotation_rad * self.rng.normal(size=3)))
             lines.append(' '.join(f'{v:.9f}' for v in (i / RATE, *p, *q)) + '\n')
         (self.folder / 'truth.txt').write_text(''.join(lines))
 
@@ -179,6 +178,22 @@ class Consistency(unittest.TestCase):
         self.assertGreater(without['direction_nees_per_dof'], 2.0)
         self.assertLess(allowed['direction_nees_per_dof'], 1.6)
         self.assertAlmostEqual(allowed['rotation_nees_per_dof'], 1.0, delta=0.12)
+
+    def test_a_lag_of_the_truths_rotations_is_covered_by_its_sigma(self):
+        noise = TruthNoise(turn_lag_s=0.01)
+        self.write_truth(noise)
+        self.write_run()
+        without, allowed = self.judge(), self.judge(noise)
+        self.assertGreater(without['rotation_nees_per_dof'], 2.0)
+        self.assertLess(allowed['rotation_nees_per_dof'], 1.4)
+        self.assertLess(allowed['direction_nees_per_dof'], 1.4)
+
+    def test_a_young_map_is_told_apart(self):
+        self.write_truth()
+        self.write_run()
+        result = self.judge()
+        self.assertAlmostEqual(result['young_map_nees_per_dof'], 1.0, delta=0.5)
+        self.assertAlmostEqual(result['old_map_nees_per_dof'], 1.0, delta=0.12)
 
     def test_young_references_and_short_baselines_are_not_judged(self):
         self.write_truth()

@@ -17,7 +17,8 @@ using Noise = std::function<Vec2(std::mt19937&, const Vec2& px)>;
 
 /// Mean squared error of optimised poses over their stated covariance, a degree of freedom. begin: once a picture.
 double nees(
-    const Noise& noise, bool rolling = false, const std::function<void(std::mt19937&)>& begin = [](std::mt19937&) {}) {
+    const Noise& noise, bool rolling = false, const std::function<void(std::mt19937&)>& begin = [](std::mt19937&) {},
+    int edgelets_of_ten = 0) {
   const CameraModel camera = test::euroc();
   std::mt19937 random(11);
   std::uniform_real_distribution<double> u(20, camera.width() - 20), v(20, camera.height() - 20), d(1.0, 4.0);
@@ -33,6 +34,12 @@ double nees(
       const Vec2 px(u(random), v(random));
       m.p_world = truth.inverse() * (camera.unproject(px) * d(random));
       m.px = px + noise(random, px);
+      if (i % 10 < edgelets_of_ten) {
+        // Along its edge it may lie anywhere.
+        m.type = FeatureType::kEdgelet;
+        m.gradient = Vec2(std::cos(0.7 * i), std::sin(0.7 * i));
+        m.px += 5.0 * Vec2(-m.gradient.y(), m.gradient.x());
+      }
       measured.push_back(m);
     }
     SE3 T = truth;
@@ -55,6 +62,15 @@ TEST(FrameNoise, OfWhiteNoiseIsTrue) {
     EXPECT_NEAR(nees([&](std::mt19937& r, const Vec2&) { return Vec2(sigma * normal(r), sigma * normal(r)); }), 1.0,
                 0.2)
         << sigma;
+}
+
+TEST(FrameNoise, OfEdgeletsIsTrue) {
+  std::normal_distribution<double> normal;
+  for (const int edgelets : {5, 9})
+    EXPECT_NEAR(nees([&](std::mt19937& r, const Vec2&) { return Vec2(0.4 * normal(r), 0.4 * normal(r)); }, false,
+                     [](std::mt19937&) {}, edgelets),
+                1.0, 0.25)
+        << edgelets;
 }
 
 // Patches on edges of things, of thin branches: most are good, some are far off.

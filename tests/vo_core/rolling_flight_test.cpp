@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "tests/vo_core/relative_nees.h"
 #include "tests/vo_core/synthetic_scene.h"
 #include "vo_core/mapper.h"
 #include "vo_core/tracker.h"
@@ -170,6 +171,32 @@ TEST(RollingFlight, PosesAreThoseOfTheCaptureTimes) {
   EXPECT_LT(with.angle_rad, 0.002);
   // It is the shutter that makes the difference.
   EXPECT_GT(without.off, 2.0 * with.off) << without.tracked;
+}
+
+// Relative to a keyframe half a second older and more, with what the map is off by and behind the shutter.
+TEST(RollingFlight, PosesKnowHowWrongTheyAre) {
+  Flight flight(kReadout);
+  test::RelativeNees nees;
+  int judged = 0, inside = 0;
+  for (int frame = 0; frame < 100; ++frame) {
+    const FrameResult r = flight.fly(frame);
+    if (!r.tracked || r.relative.keyframe_id == 0) continue;
+    const auto frame_of = [](rt::TimeNs t) {
+      return static_cast<double>(std::lround(rt::to_seconds(t - rt::kNsPerSecond) / kIntervalS));
+    };
+    const double reference = frame_of(r.relative.t_keyframe_ns);
+    if (frame - reference < 15) continue;
+    const double one =
+        nees.add(r.relative.T_ref_cam.inverse(), pose_at(frame) * pose_at(reference).inverse(), r.relative.covariance);
+    ++judged;
+    inside += one < 11.07 / 5.0;
+  }
+  ASSERT_GT(judged, 50);
+  // One flight: its errors hang together.
+  EXPECT_GT(nees.mean(), 0.2);
+  EXPECT_LT(nees.mean(), 3.0);
+  // 95 % would be true, and half of them are: what a young map is off by is still told too small (docs/uncertainty.md).
+  EXPECT_GT(inside, judged * 4 / 10);
 }
 
 }  // namespace

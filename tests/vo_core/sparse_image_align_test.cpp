@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 #include <vector>
 
+#include "tests/vo_core/numeric_jacobian.h"
 #include "tests/vo_core/synthetic_scene.h"
+#include "vo_core/align_warp.h"
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
@@ -42,6 +44,43 @@ struct Fixture {
     return o;
   }
 };
+
+// Inverse compositional: the derivatives are those of the reference frame, at no motion.
+TEST(SparseImageAlign, DerivativesOfItsWarpAreThoseOfDifferences) {
+  const Fixture f;
+  for (const double row_time : {0.0, -0.35, 0.35}) {
+    for (const AlignPoint& p : f.points) {
+      Vec2 px;
+      Mat23 Jp;
+      ASSERT_TRUE(f.camera.project(p.p_ref, &px, &Jp));
+      EXPECT_TRUE(test::agrees(align_jacobian(Jp, p.p_ref, row_time), test::numeric_jacobian<6>([&](const Vec6& x) {
+                                 Vec2 there = Vec2::Zero();
+                                 EXPECT_TRUE(f.camera.project(align_warp(SE3::exp(x), x, p.p_ref, row_time), &there));
+                                 return there;
+                               })))
+          << row_time;
+    }
+  }
+}
+
+// The patches' derivatives, put together: of a small motion in any one of the six ways one step leaves
+// little (gradients between pixels are not exact).
+TEST(SparseImageAlign, OneStepTakesASmallMotionAway) {
+  Fixture f;
+  const View ref(f.scene.render(f.camera, f.T_ref));
+  SparseAlignOptions options = f.options();
+  options.min_level = options.max_level = 1;
+  options.max_iterations = 1;
+  SparseImageAlign align(f.camera, options);
+  for (const double readout : {0.0, 0.7}) {
+    for (int k = 0; k < 6; ++k) {
+      // About a third of a pixel of this level.
+      const Vec6 off = (k < 3 ? 0.006 : 0.003) * Vec6::Unit(k);
+      const SparseAlignResult r = align.run(ref.pyramid, ref.pyramid, f.points, SE3::exp(off), {}, {readout, 0.5});
+      EXPECT_LT(r.T_cur_ref.log().norm(), 0.4 * off.norm()) << k << ", readout " << readout;
+    }
+  }
+}
 
 TEST(SparseImageAlign, FindsTheMotionBetweenTwoFrames) {
   Fixture f;
