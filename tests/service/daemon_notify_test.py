@@ -116,6 +116,12 @@ def main():
                     fail('it does not say that it stops')
                 if daemon.wait(20) != 0:
                     fail(f'ended with {daemon.returncode}')
+                log.seek(0)
+                said = log.read()
+                for words in (f'warning: camera: {recording}: No such file or directory; it is looked for',
+                              f'camera: {recording} is there', 'no sign of life of gw-tracker', 'detector hangs'):
+                    if words not in said:
+                        fail(f'it did not say "{words}"')
             finally:
                 daemon.kill()
                 daemon.wait()
