@@ -19,10 +19,9 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
     lines.push_back(fmt::format("our own share, from pose to last frame: p50 {:.2f} ms, p99 {:.2f} ms, most {:.2f} ms",
                                 s.own_p50_ms, s.own_p99_ms, s.own_max_ms));
   }
-  lines.push_back(
-      fmt::format("{} ODOMETRY sent, {} passed over for a newer one, {} stale; bus "
-                  "load {:.1f} %",
-                  s.odometry_sent, s.poses_paced, s.poses_stale, s.bus_load_percent));
+  lines.push_back(fmt::format("{} ODOMETRY sent, {} passed over for a newer one, {} stale{}", s.odometry_sent,
+                              s.poses_paced, s.poses_stale,
+                              s.has_bus ? fmt::format("; bus load {:.1f} %", s.bus_load_percent) : ""));
   if (s.pictures_repeated > 0) {
     lines.push_back(
         fmt::format("{} pictures were the one before, bit for bit: nothing was sent for them", s.pictures_repeated));
@@ -30,9 +29,11 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
   const std::uint64_t lost = s.tx.poses_replaced + s.tx.refused + s.tx.abandoned;
   if (lost + s.bus.bus_off + s.bus.reopened + s.reception.errors() > 0) {
     lines.push_back(
-        fmt::format("sending: {} messages dropped whole, {} of them poses; bus-off {} times, opened again {} times; "
-                    "{} frames of others could not be put together",
-                    lost, s.tx.poses_replaced, s.bus.bus_off, s.bus.reopened, s.reception.errors()));
+        fmt::format("sending: {} messages dropped whole, {} of them poses", lost, s.tx.poses_replaced) +
+        (s.has_bus
+             ? fmt::format("; bus-off {} times, opened again {} times; {} frames of others could not be put together",
+                           s.bus.bus_off, s.bus.reopened, s.reception.errors())
+             : ""));
   }
   return lines;
 }

@@ -257,6 +257,7 @@ void LinkNode::fill_status(rt::TimeNs now_ns) {
   status_.reception = reassembler_.counters();
   status_.mavlink = endpoint_.counters();
   if (ports_.bus == nullptr) return;
+  status_.has_bus = true;
   status_.bus = ports_.bus->counters();
   status_.bus_state = ports_.bus->state();
 }

@@ -73,6 +73,7 @@ struct LinkStatus {
   double own_p50_ms = 0;
   double own_p99_ms = 0;
   double own_max_ms = 0;
+  bool has_bus = false;
   double bus_load_percent = 0;  ///< of our own frames over the last second
   std::uint64_t odometry_sent = 0;
   std::uint64_t poses_stale = 0;  ///< given to us late, twice or from the future; never sent as good

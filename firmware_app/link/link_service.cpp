@@ -13,6 +13,14 @@
 
 namespace godwit::link {
 
+mavlink::EndpointConfig asked_for(const LinkSettings& settings) {
+  mavlink::EndpointConfig out = settings.link.mavlink;
+  if (settings.collect_inputs) return out;
+  // The attitude is read by the link itself.
+  out.imu_hz = out.range_hz = out.local_position_hz = out.global_position_hz = 0;
+  return out;
+}
+
 rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& settings) {
   std::unique_ptr<LinkService> self(new LinkService(settings));
   if (!settings.can.empty()) {
@@ -35,10 +43,7 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
   for (std::string& line : overrides(settings.link.parameters, stored)) self->advice_.push_back(std::move(line));
   LinkConfig config = settings.link;
   config.clock = &rt::monotonic_now_ns;
-  if (!settings.collect_inputs) {
-    config.mavlink.imu_hz = config.mavlink.range_hz = 0;
-    config.mavlink.local_position_hz = config.mavlink.global_position_hz = 0;
-  }
+  config.mavlink = asked_for(settings);
   if (config.identity.unique_id == dronecan::UniqueId{}) {
     const auto id = hal::machine_id();
     if (!id.ok()) return rt::Error{"link: no unique id for this node: " + id.error().message};

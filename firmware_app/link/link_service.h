@@ -22,6 +22,9 @@ struct LinkSettings {
   DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
 
+/// What is asked of the autopilot: of all that it can tell only what somebody reads.
+mavlink::EndpointConfig asked_for(const LinkSettings& settings);
+
 class LinkService {
  public:
   /// Blocks and allocates; before arming. The error names what is wrong and the remedy where there is one.

@@ -2,7 +2,11 @@
 
 #include <cstring>
 #include <linux/can/netlink.h>
+#include <linux/if_link.h>
+#include <linux/rtnetlink.h>
 #include <net/if.h>
+#include <netlink/attr.h>
+#include <netlink/msg.h>
 #include <netlink/netlink.h>
 #include <netlink/route/link.h>
 #include <netlink/route/link/can.h>
@@ -88,14 +92,23 @@ std::vector<std::string> can_link_advice(const CanLinkInfo& info) {
 }
 
 std::vector<std::uint8_t> can_restart_message() {
-  const Link nothing(rtnl_link_alloc()), wanted(rtnl_link_alloc());
-  nl_msg* made = nullptr;
-  if (!nothing || !wanted || rtnl_link_set_type(wanted.get(), "can") < 0 || rtnl_link_can_restart(wanted.get()) < 0 ||
-      rtnl_link_build_change_request(nothing.get(), wanted.get(), NLM_F_REQUEST, &made) < 0) {
-    return {};
+  // rtnl_link_can_restart() would be the call for it, but libnl 3.7 leaves the order itself out of the message that it
+  // makes (a test looks): the attributes are put in one by one.
+  std::vector<std::uint8_t> out;
+  nl_msg* made = nlmsg_alloc_simple(RTM_NEWLINK, NLM_F_REQUEST);
+  if (made == nullptr) return out;
+  ifinfomsg link{};
+  bool whole = nlmsg_append(made, &link, sizeof link, NLMSG_ALIGNTO) == 0;
+  nlattr* const info = nla_nest_start(made, IFLA_LINKINFO);
+  whole = whole && info != nullptr && nla_put_string(made, IFLA_INFO_KIND, "can") == 0;
+  nlattr* const data = whole ? nla_nest_start(made, IFLA_INFO_DATA) : nullptr;
+  whole = data != nullptr && nla_put_u32(made, IFLA_CAN_RESTART, 1) == 0;
+  if (whole) {
+    nla_nest_end(made, data);
+    nla_nest_end(made, info);
+    const auto* begin = reinterpret_cast<const std::uint8_t*>(nlmsg_hdr(made));
+    out.assign(begin, begin + nlmsg_hdr(made)->nlmsg_len);
   }
-  const auto* begin = reinterpret_cast<const std::uint8_t*>(nlmsg_hdr(made));
-  std::vector<std::uint8_t> out(begin, begin + nlmsg_hdr(made)->nlmsg_len);
   nlmsg_free(made);
   return out;
 }

@@ -125,6 +125,18 @@ TEST(Godwitd, DecodesNoPicturesAndOpensNoVideo) {
   ASSERT_THAT(run("ldd " GODWIT_TOOL).first, HasSubstr("imgcodecs")) << "and would be found if it were there";
 }
 
+TEST(Godwitd, TheLogBeginsWithTheVersionAndArmedIsNotSaidWhereNothingIsLocked) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder, kSmallFlight));
+  ASSERT_TRUE(daemon.says("flying, not armed: threads.lock_memory is off")) << daemon.all();
+  EXPECT_THAT(daemon.all(), testing::StartsWith("godwitd: godwitd "));
+  EXPECT_THAT(daemon.all().substr(0, daemon.all().find('\n')),
+              testing::ContainsRegex("\\(commit ([0-9a-f]{12}(-dirty)?|unknown)\\)$"));
+  EXPECT_THAT(daemon.all(), Not(HasSubstr("godwitd: armed")));
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+}
+
 TEST(Godwitd, SigtermEndsItCleanlyWithinHalfASecond) {
   const test::TempFolder folder;
   const std::string config = write_config(folder, kSmallFlight);
@@ -309,6 +321,19 @@ TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
     EXPECT_EQ(code, 2) << program;
     EXPECT_THAT(said, HasSubstr(config + ":7: link.state_folder: \"/nowhere\" is not there or no folder"));
   }
+}
+
+TEST(GodwitCheck, WhatWasSavedOverTheBusIsShownAndWhatDoesNotFitIsNamed) {
+  const test::TempFolder folder;
+  std::ofstream(folder / "link_parameters.txt") << "VIO_RATE 25\nVIO_PROFILE 1\n";
+  const auto [said, code] =
+      run(GODWIT_TOOL " check --config " +
+          write_config(folder, kSmallFlight + "[can]\nbus = \"multicast:0\"\n[link]\nstate_folder = \"" +
+                                   folder.path().string() + "\"\n"));
+  EXPECT_EQ(code, 0) << said;
+  EXPECT_THAT(said, HasSubstr("VIO_RATE 25, saved over the bus, overrides 30 of the configuration"));
+  EXPECT_THAT(said,
+              HasSubstr("warning: VIO_PROFILE 1, saved over the bus, is not used: PX4 takes no MAVLink through CAN"));
 }
 
 TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {

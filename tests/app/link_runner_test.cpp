@@ -162,6 +162,21 @@ TEST_F(LinkRunnerTest, ALinkThreadThatHangsIsNamedAndKeepsNoEndAway) {
   EXPECT_EQ(abandoned_, "gw-link");
 }
 
+TEST(LinkReport, WhereThereIsNoBusNothingIsSaidOfOne) {
+  link::LinkStatus status;
+  status.tx.refused = 3;
+  const auto said = [&] {
+    std::string out;
+    for (const std::string& line : link_report(status)) out += line + "\n";
+    return out;
+  };
+  EXPECT_NE(said().find("sending: 3 messages dropped whole"), std::string::npos);
+  EXPECT_EQ(said().find("bus"), std::string::npos) << said();
+  status.has_bus = true;
+  EXPECT_NE(said().find("bus load"), std::string::npos);
+  EXPECT_NE(said().find("bus-off 0 times"), std::string::npos);
+}
+
 TEST_F(LinkRunnerTest, AfterASilenceTheReasonsGo) {
   silence(rt::kNsPerSecond, true);
   for (int i = 0; i < 40; ++i) frame();

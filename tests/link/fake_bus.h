@@ -177,6 +177,7 @@ class LinkHarness {
     keep(transfer, t, &get_sets);
     keep(transfer, t, &opcodes);
     keep(transfer, t, &restarts);
+    keep(transfer, t, &infos);
     dronecan::TunnelTargetted tunnel;
     if (transfer.kind != dronecan::TransferKind::kMessage || transfer.type_id != dronecan::TunnelTargetted::kType.id)
       return;
@@ -223,6 +224,7 @@ class LinkHarness {
   std::vector<std::pair<rt::TimeNs, dronecan::GetSetResponse>> get_sets;
   std::vector<std::pair<rt::TimeNs, dronecan::ExecuteOpcodeResponse>> opcodes;
   std::vector<std::pair<rt::TimeNs, dronecan::RestartNodeResponse>> restarts;
+  std::vector<std::pair<rt::TimeNs, dronecan::GetNodeInfoResponse>> infos;
   std::vector<std::string> texts;
 };
 

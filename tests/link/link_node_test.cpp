@@ -192,6 +192,26 @@ TEST_P(Armed, RefusesRestartEraseAndWrites) {
 
 INSTANTIATE_TEST_SUITE_P(By, Armed, ::testing::Values(ArmedBy{false}, ArmedBy{true}));
 
+TEST(LinkNode, GetNodeInfoTellsVersionAndCommit) {
+  for (const std::uint32_t commit : {0x5cbb52e0u, 0u}) {
+    LinkConfig config;
+    config.identity.software_major = 3;
+    config.identity.software_minor = 14;
+    config.identity.vcs_commit = commit;
+    LinkHarness h(config);
+    h.run(0.1);
+    h.request(dronecan::GetNodeInfoRequest{});
+    h.run(0.1);
+    h.decode_sent();
+    ASSERT_EQ(h.infos.size(), 1U);
+    const dronecan::SoftwareVersion& software = h.infos[0].second.software;
+    EXPECT_EQ(software.major, 3);
+    EXPECT_EQ(software.minor, 14);
+    EXPECT_EQ(software.vcs_commit, commit);
+    EXPECT_EQ(software.flags, commit != 0 ? dronecan::SoftwareVersion::kHasVcsCommit : 0) << "unknown is said as such";
+  }
+}
+
 TEST(LinkNode, NothingOnTheBusSetsAParameterOutsideItsLimits) {
   LinkHarness h;
   std::mt19937_64 random(3);

@@ -43,6 +43,37 @@ TEST(LinkService, AStateFolderThatIsNotThereIsRefused) {
   EXPECT_NE(bad.error().message.find("/no/such/folder"), std::string::npos);
 }
 
+// A bus that comes up after us, as at boot, grounds nobody: the node says that it has none.
+TEST(LinkService, AnInterfaceMissingAtBootIsAStateOfHealth) {
+  LinkSettings s = settings();
+  s.can = "socketcan:nosuchcan7";
+  EXPECT_FALSE(LinkService::open(s).ok()) << "a tool is to say so";
+  s.wait_for_bus = true;
+  auto opened = LinkService::open(s);
+  ASSERT_TRUE(opened.ok()) << opened.error().message;
+  LinkService& service = *opened.value();
+  ASSERT_FALSE(service.advice().empty());
+  EXPECT_NE(service.advice()[0].find("it is looked for"), std::string::npos) << service.advice()[0];
+  rt::TimeNs now = rt::kNsPerSecond;
+  for (int i = 0; i < 1200; ++i) service.step(now += rt::kNsPerMs);
+  LinkStatus status;
+  ASSERT_TRUE(service.take_status(&status));
+  EXPECT_EQ(status.condition.reasons & kBusTrouble, kBusTrouble);
+  EXPECT_EQ(status.bus_state, hal::CanState::kGone);
+  EXPECT_EQ(status.bus.sent, 0u);
+}
+
+TEST(LinkService, WhatNobodyReadsIsNotAskedFor) {
+  LinkSettings s = settings();
+  s.link.mavlink.imu_hz = 50;
+  const mavlink::EndpointConfig nobody = asked_for(s);
+  EXPECT_EQ(nobody.imu_hz + nobody.range_hz + nobody.local_position_hz + nobody.global_position_hz, 0);
+  EXPECT_GT(nobody.attitude_hz, 0) << "the link reads it itself";
+  s.collect_inputs = true;
+  EXPECT_EQ(asked_for(s).imu_hz, 50);
+  EXPECT_GT(asked_for(s).range_hz, 0);
+}
+
 TEST(LinkService, UniqueIdIsStableAndNeverZero) {
   const auto id = hal::machine_id();
   if (!id.ok()) {
