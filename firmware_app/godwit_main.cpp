@@ -47,7 +47,7 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   if (app.got_subcommand("doctor")) return run_doctor(doctor, stop);
   if (app.got_subcommand("fly")) return run_fly(fly, stop);
   if (app.got_subcommand("record")) return run_record(record, stop);
-  if (app.got_subcommand("calibrate")) return run_calibrate_imu(calibrate);
+  if (app.got_subcommand("calibrate")) return run_calibrate(calibrate, stop);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
   return run_replay(replay, stop);
 }

@@ -78,6 +78,25 @@ void add_calibrate_command(CLI::App* app, CalibrateArguments* a) {
   imu->add_option("RECORDING", a->recording, "Folder of godwit record --no-camera, EuRoC's or TUM's")->required();
   imu->add_option("--out", a->out, "Write Kalibr's imu.yaml")->type_name("FILE");
   imu->add_option("--plot", a->plot, "Write a plot (SVG) of the Allan deviations")->type_name("FILE");
+  CLI::App* const camera = c->add_subcommand("camera", "Calibration of a camera from pictures of a board");
+  a->camera_command = camera;
+  camera->add_option("FOLDER", a->camera.folder, "Pictures (PNG, JPEG), or a recording; without it the live camera");
+  camera
+      ->add_option("--board", a->camera.board,
+                   "aprilgrid:6x6:0.088:0.3 or chessboard:9x6:0.025 (inner corners); metres")
+      ->required();
+  camera->add_option("--model", a->camera.model, "Of the lens")->check(CLI::IsMember({"radtan", "equidistant"}));
+  camera->add_option("--out", a->camera.out, "Write the calibration (TOML)")->type_name("FILE");
+  camera->add_option("--config", a->camera.config, "The live camera is that of [camera]")->type_name("FILE");
+  camera->add_option("--size", a->camera.size, "Of the live camera's pictures: WIDTHxHEIGHT");
+  camera->add_option("--seconds", a->camera.seconds, "How long to look; without it until Ctrl-C or enough was seen")
+      ->check(CLI::PositiveNumber);
+  camera->add_option("--fps", a->camera.fps, "Pictures a second, where the readout of a rolling shutter is to be told")
+      ->check(CLI::PositiveNumber);
+}
+
+int run_calibrate(const CalibrateArguments& a, const std::atomic<bool>& stop) {
+  return a.camera_command->parsed() ? run_calibrate_camera(a, stop) : run_calibrate_imu(a);
 }
 
 int run_calibrate_imu(const CalibrateArguments& a) {

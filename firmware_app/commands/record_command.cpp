@@ -44,7 +44,7 @@ int run_record(const RecordArguments& a, const std::atomic<bool>& stop) {
   OpenedCamera camera;
   RecorderOptions options;
   if (config.camera.source == Config::Camera::Source::kV4l2) {
-    auto opened = open_camera(config.camera, log);
+    auto opened = open_camera(config.camera, log, config.threads.camera);
     if (!opened) return stopped(opened.error().message, kExitRefused);
     camera = std::move(opened).value();
     const auto text = hal::read_text_file(config.camera.calibration);

@@ -1,5 +1,5 @@
 // `godwit record`: the devices of a configuration into a folder. `godwit calibrate imu`: noise figures of such a
-// folder.
+// folder. `godwit calibrate camera`: a camera's calibration from pictures of a board.
 #pragma once
 
 #include <CLI/App.hpp>
@@ -19,6 +19,11 @@ struct CalibrateArguments {
   std::string recording;
   std::string out;
   std::string plot;
+  CLI::App* camera_command = nullptr;
+  struct {
+    std::string folder, config, size, board, model = "radtan", out;
+    double seconds = 0, fps = 0;
+  } camera;
 };
 
 /// Describe the commands to the parser; *arguments outlives it.
@@ -27,6 +32,8 @@ void add_calibrate_command(CLI::App* app, CalibrateArguments* arguments);
 
 /// Run them. Return an ExitCode.
 int run_record(const RecordArguments& arguments, const std::atomic<bool>& stop);
+int run_calibrate(const CalibrateArguments& arguments, const std::atomic<bool>& stop);
 int run_calibrate_imu(const CalibrateArguments& arguments);
+int run_calibrate_camera(const CalibrateArguments& arguments, const std::atomic<bool>& stop);
 
 }  // namespace godwit::app

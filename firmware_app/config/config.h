@@ -35,19 +35,30 @@ struct Config {
   struct Camera {
     enum class Source { kNone, kSim, kReplay, kV4l2 };
     enum class Stamp { kFlags, kStart, kEnd };
+    enum class Exposure { kOff, kFixed, kAutomatic };
     Source source = Source::kNone;
-    std::string calibration;             ///< devices: camera.yaml, sensor.yaml, ..
-    std::string device = "/dev/video0";  ///< v4l2: path, by-id:NAME or serial:NUMBER
-    std::string format;                  ///< v4l2: name of a pixel format; empty: the first that the device has
-    double fps = 0;                      ///< devices: 0: the calibration's, or else as the device is set
-    int shift = -1;                      ///< v4l2, 10 and 16 bits: bits to drop; -1: by the format
-    std::string controls;                ///< v4l2: "name=value, .."
-    Stamp stamp = Stamp::kFlags;         ///< v4l2: what the device's stamps mark
-    double exposure_ms = 0;              ///< v4l2: where the device does not say
-    std::string sequence;                ///< replay: the folder
-    bool allow_simulated = false;        ///< what did not happen now may go out on a real bus
-    std::string scenario = "street";     ///< sim: name or file
-    std::string scenarios;               ///< sim: where names are looked up; empty: those that come with godwit
+    std::string calibration;                     ///< devices: camera.yaml, sensor.yaml, ..
+    std::string device = "/dev/video0";          ///< v4l2: path, by-id:NAME or serial:NUMBER
+    std::string format;                          ///< v4l2: name of a pixel format; empty: the first that the device has
+    double fps = 0;                              ///< devices: 0: the calibration's, or else as the device is set
+    int shift = -1;                              ///< v4l2, 10 and 16 bits: bits to drop; -1: by the format
+    std::string controls;                        ///< v4l2: "name=value, .."
+    Stamp stamp = Stamp::kFlags;                 ///< v4l2: what the device's stamps mark
+    double exposure_ms = 0;                      ///< v4l2: where the device does not say, and of Exposure::kFixed
+    Exposure exposure = Exposure::kOff;          ///< v4l2: who sets the device's exposure and gain
+    double gain = 1;                             ///< fixed: a factor
+    double brightness = 100;                     ///< automatic: wanted mean of the pictures, 0 to 255
+    double blur_px = 1;                          ///< automatic: a point may smear so far while the shutter is open
+    double exposure_most_ms = 0;                 ///< automatic; 0: the frame interval less the readout
+    double gain_most = 16;                       ///< automatic: a factor
+    std::string exposure_control, gain_control;  ///< v4l2: names of the controls; empty: the usual ones
+    double exposure_unit_us = 0;                 ///< v4l2: one step of the exposure control; 0: by the control
+    double gain_one = 0;                         ///< v4l2: value of the gain control at gain 1; 0: its lowest
+    double gain_step_db = 0;                     ///< v4l2: one step of the gain control; 0: it counts linearly
+    std::string sequence;                        ///< replay: the folder
+    bool allow_simulated = false;                ///< what did not happen now may go out on a real bus
+    std::string scenario = "street";             ///< sim: name or file
+    std::string scenarios;                       ///< sim: where names are looked up; empty: those that come with godwit
     std::uint64_t seed = 1;
     int pictures = 150;  ///< sim: rendered ahead, flown forth and back
   } camera;

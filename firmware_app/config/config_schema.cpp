@@ -28,6 +28,20 @@ void add_camera_device(Config* c, std::vector<Key>* to) {
   to->push_back(keys::choice<Stamp>(
       "camera.stamp", {{"flags", Stamp::kFlags}, {"start", Stamp::kStart}, {"end", Stamp::kEnd}}, &c->camera.stamp));
   to->push_back(keys::number("camera.exposure_ms", 0, 1000, "ms", &c->camera.exposure_ms));
+  using Exposure = Config::Camera::Exposure;
+  to->push_back(keys::choice<Exposure>(
+      "camera.exposure", {{"off", Exposure::kOff}, {"fixed", Exposure::kFixed}, {"automatic", Exposure::kAutomatic}},
+      &c->camera.exposure));
+  to->push_back(keys::number("camera.gain", 1, 1000, "", &c->camera.gain));
+  to->push_back(keys::number("camera.brightness", 20, 200, "", &c->camera.brightness));
+  to->push_back(keys::number("camera.blur_px", 0.1, 20, "pixels", &c->camera.blur_px));
+  to->push_back(keys::number("camera.exposure_most_ms", 0, 1000, "ms", &c->camera.exposure_most_ms));
+  to->push_back(keys::number("camera.gain_most", 1, 1000, "", &c->camera.gain_most));
+  to->push_back(keys::text("camera.exposure_control", 64, "a control", &c->camera.exposure_control));
+  to->push_back(keys::text("camera.gain_control", 64, "a control", &c->camera.gain_control));
+  to->push_back(keys::number("camera.exposure_unit_us", 0, 100'000, "us", &c->camera.exposure_unit_us));
+  to->push_back(keys::number("camera.gain_one", 0, 1e6, "", &c->camera.gain_one));
+  to->push_back(keys::number("camera.gain_step_db", 0, 10, "dB", &c->camera.gain_step_db));
 }
 
 void add_imu(Config* c, std::vector<Key>* to) {

@@ -115,7 +115,8 @@ class WithoutCamera {
 int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, LinkRunner* autopilot,
         rt::Heartbeats* heartbeats, const hal::ServiceManager& manager, const std::function<void(const char*)>& abandon,
         const std::atomic<bool>& stop, const std::atomic<bool>& ending) {
-  const auto opened = camera->open(config.camera, say, WithoutCamera(manager, autopilot), ending);
+  const auto opened =
+      camera->open(config.camera, config.threads.camera, say, WithoutCamera(manager, autopilot), ending);
   if (ending.load(std::memory_order_relaxed)) return kExitDone;
   if (!opened) return give_up(opened.error().message);
   if (autopilot != nullptr && config.link.T_body_cam.empty() && mounting_of(*camera) != mounting) {

@@ -48,11 +48,11 @@ rt::Result<DaemonCamera> DaemonCamera::find(const Config::Camera& config) {
   return out;
 }
 
-rt::Result<void> DaemonCamera::open(const Config::Camera& config, const Say& say, const std::function<void()>& waiting,
-                                    const std::atomic<bool>& stop) {
+rt::Result<void> DaemonCamera::open(const Config::Camera& config, const rt::ThreadPlan& feeder, const Say& say,
+                                    const std::function<void()>& waiting, const std::atomic<bool>& stop) {
   if (flight_ != nullptr) return render(config, say, stop);
   if (config.source == Config::Camera::Source::kReplay) return replay(config, say, waiting, stop);
-  auto device = open_camera(config, say);
+  auto device = open_camera(config, say, feeder);
   if (!device) return device.error();
   calibration_ = device.value().calibration;
   camera_ = std::move(device.value().camera);

@@ -27,9 +27,9 @@ class DaemonCamera {
   const std::optional<hal::CameraCalibration>& calibration() const { return calibration_; }
 
   /// Opens it. A recording that is not there is told once and looked for again and again; waiting() is called
-  /// meanwhile, at least every 100 ms. Error: stopped, or it cannot be. Blocks.
-  rt::Result<void> open(const Config::Camera& config, const Say& say, const std::function<void()>& waiting,
-                        const std::atomic<bool>& stop);
+  /// meanwhile, at least every 100 ms. feeder: see open_camera(). Error: stopped, or it cannot be. Blocks.
+  rt::Result<void> open(const Config::Camera& config, const rt::ThreadPlan& feeder, const Say& say,
+                        const std::function<void()>& waiting, const std::atomic<bool>& stop);
 
   hal::Camera* camera() const { return camera_.get(); }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdlib>
 
+#include "hal/camera/fed_camera.h"
 #include "hal/camera/v4l2/v4l2_camera.h"
 #include "hal/imu/iio/iio_imu.h"
 #include "hal/imu/mpu6000/mpu6000.h"
@@ -49,6 +50,31 @@ constexpr rt::TimeNs ns(double seconds) {
   return static_cast<rt::TimeNs>(seconds * 1e9);
 }
 
+hal::ExposurePlan exposure_plan(const Config::Camera& c, const hal::CameraCalibration& calibration, double fps) {
+  using Mode = Config::Camera::Exposure;
+  hal::ExposurePlan out;
+  out.mode = c.exposure == Mode::kOff     ? hal::ExposureMode::kOff
+             : c.exposure == Mode::kFixed ? hal::ExposureMode::kFixed
+                                          : hal::ExposureMode::kAutomatic;
+  out.fixed = {ns(c.exposure_ms * 1e-3), c.gain};
+  out.automatic.target_mean = c.brightness;
+  out.automatic.most_gain = c.gain_most;
+  out.automatic.blur_px = c.blur_px;
+  out.automatic.focal_px = calibration.fx;
+  if (c.exposure_most_ms > 0) {
+    out.automatic.most_ns = ns(c.exposure_most_ms * 1e-3);
+  } else if (fps > 0) {
+    // A readout as long as the interval leaves nothing: such sensors read while they expose.
+    out.automatic.most_ns = ns(std::max(1 / fps - calibration.readout_s(), 0.5 / fps));
+  }
+  out.exposure_control = c.exposure_control;
+  out.gain_control = c.gain_control;
+  out.exposure_unit_ns = ns(c.exposure_unit_us * 1e-6);
+  out.gain_one = c.gain_one;
+  out.gain_step_db = c.gain_step_db;
+  return out;
+}
+
 rt::Result<hal::Mpu6000Settings> mpu6000_settings(const Config::Imu& config, const hal::AxisMap& axes) {
   const int g = config.accel_range_g;
   if (g != 2 && g != 4 && g != 8 && g != 16) return rt::Error{"imu.accel_range_g: 2, 4, 8 or 16 is allowed"};
@@ -90,17 +116,44 @@ rt::Result<hal::V4l2Settings> v4l2_settings(const Config::Camera& config, const 
   out.exposure_ns = ns(config.exposure_ms * 1e-3);
   out.readout_ns = ns(calibration.readout_s());
   out.rolling = calibration.readout_frames > 0;
+  out.exposure = exposure_plan(config, calibration, out.fps);
   return out;
 }
 
-rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceLog& log) {
-  auto calibration = read_calibration(config);
-  if (!calibration) return calibration.error();
-  const auto settings = v4l2_settings(config, calibration.value());
+namespace {
+
+rt::Result<std::unique_ptr<hal::Camera>> open_device(const Config::Camera& config,
+                                                     const hal::CameraCalibration& calibration,
+                                                     const rt::ThreadPlan& feeder, const DeviceLog& log) {
+  const auto settings = v4l2_settings(config, calibration);
   if (!settings) return settings.error();
-  auto camera = hal::V4l2Camera::open(hal::linux_video_system(), settings.value(), [log](const std::string& text) {
+  auto opened = hal::V4l2Camera::open(hal::linux_video_system(), settings.value(), [log](const std::string& text) {
     log(text.empty() ? "camera: the device is well again" : "warning: camera: " + text);
   });
+  if (!opened) return opened.error();
+  std::unique_ptr<hal::Camera> camera = std::move(opened).value();
+  if (camera->real_time()) return camera;
+  // MJPEG, or a device of which nobody knows yet.
+  auto fed = hal::FedCamera::start(std::move(camera), feeder);
+  if (!fed) return fed.error();
+  camera = std::move(fed).value();
+  return camera;
+}
+
+}  // namespace
+
+rt::Result<std::unique_ptr<hal::Camera>> open_camera_of_size(const Config::Camera& config, int width, int height,
+                                                             const rt::ThreadPlan& feeder, const DeviceLog& log) {
+  hal::CameraCalibration size;
+  size.width = width;
+  size.height = height;
+  return open_device(config, size, feeder, log);
+}
+
+rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceLog& log, const rt::ThreadPlan& feeder) {
+  auto calibration = read_calibration(config);
+  if (!calibration) return calibration.error();
+  auto camera = open_device(config, calibration.value(), feeder, log);
   if (!camera) return camera.error();
   OpenedCamera out{std::move(camera).value(), calibration.value()};
   out.calibration.channels = out.camera->channels();
@@ -122,10 +175,15 @@ rt::Result<std::unique_ptr<hal::Imu>> open_imu(const Config::Imu& config, const 
     if (opened.value()->trouble() != nullptr) trouble = opened.value()->trouble();
     out = std::move(opened).value();
   } else {
+    // Each port tells on its own what keeps it from opening.
+    const auto tell = [log](const std::string& text) {
+      if (!text.empty()) log("warning: IMU: " + text);
+    };
+    const double rate_hz = config.rate_hz;
     auto opened =
-        hal::IioImu::open(hal::libiio_port(), config.accel_device.empty() ? nullptr : hal::libiio_port(),
-                          {config.device, config.accel_device, static_cast<double>(config.rate_hz), axes.value()});
-    trouble = opened->trouble();
+        hal::IioImu::open(hal::libiio_port(config.device, rate_hz, tell),
+                          config.accel_device.empty() ? nullptr : hal::libiio_port(config.accel_device, rate_hz, tell),
+                          {rate_hz, axes.value()});
     out = std::move(opened);
   }
   if (!trouble.empty()) log("warning: IMU " + config.device + ": " + trouble);

@@ -27,8 +27,14 @@ struct OpenedCamera {
 rt::Result<hal::V4l2Settings> v4l2_settings(const Config::Camera& config, const hal::CameraCalibration& calibration);
 
 /// The device of a camera.source that is one. A device that is not there is no error: it is told and looked for. Error:
-/// what is wrong with the calibration or a key. Blocks.
-rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceLog& log);
+/// what is wrong with the calibration or a key. Blocks. feeder: how the thread runs that decodes where that is needed
+/// (MJPEG).
+rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceLog& log,
+                                     const rt::ThreadPlan& feeder = {});
+
+/// The same where there is no calibration yet: pictures of this size.
+rt::Result<std::unique_ptr<hal::Camera>> open_camera_of_size(const Config::Camera& config, int width, int height,
+                                                             const rt::ThreadPlan& feeder, const DeviceLog& log);
 
 /// The inertial sensor; null where imu.source is "none". As above.
 rt::Result<std::unique_ptr<hal::Imu>> open_imu(const Config::Imu& config, const DeviceLog& log);

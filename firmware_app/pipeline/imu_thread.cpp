@@ -1,5 +1,7 @@
 #include "firmware_app/pipeline/imu_thread.h"
 
+#include <cmath>
+
 #include "hal/rt/rt_scope.h"
 
 namespace godwit::app {
@@ -17,7 +19,10 @@ void ImuThread::run(rt::Pulse* pulse) {
     pulse->beat();
     hal::ImuSample sample;
     status = feeder_.next(&sample, kImuWaitNs);
-    if (status == hal::ImuStatus::kSample && !channels_->samples.try_push(sample)) ++feeder_.counters.dropped;
+    if (status == hal::ImuStatus::kSample) {
+      camera_->turning(std::hypot(sample.gyro_rad_s[0], sample.gyro_rad_s[1], sample.gyro_rad_s[2]));
+      if (!channels_->samples.try_push(sample)) ++feeder_.counters.dropped;
+    }
     // A device that fails at once must not take the processor.
     if (status == hal::ImuStatus::kFault) rt::sleep_until_ns(rt::monotonic_now_ns() + kImuFaultNs);
   }

@@ -3,14 +3,16 @@
 
 #include "firmware_app/pipeline/channels.h"
 #include "firmware_app/pipeline/imu_feeder.h"
+#include "hal/camera/camera.h"
 #include "hal/rt/heartbeat.h"
 
 namespace godwit::app {
 
 class ImuThread {
  public:
-  /// Both outlive it. imu: null where there is none; run() is not called then.
-  ImuThread(hal::Imu* imu, Channels* channels) : feeder_(imu, true), channels_(channels) {}
+  /// All outlive it. camera: hears how fast it turns. imu: null where there is none; run() is not called then.
+  ImuThread(hal::Imu* imu, hal::Camera* camera, Channels* channels)
+      : feeder_(imu, true), camera_(camera), channels_(channels) {}
 
   /// The thread's body, under real-time rules: until the sensor ends or the camera's thread has.
   void run(rt::Pulse* pulse);
@@ -19,6 +21,7 @@ class ImuThread {
 
  private:
   ImuFeeder feeder_;
+  hal::Camera* const camera_;
   Channels* const channels_;
 };
 

@@ -16,8 +16,10 @@ SchedulerOptions scheduler_options(const PipelineOptions& options) {
 
 }  // namespace
 
-TrackerThread::TrackerThread(FrameStage* stage, rt::FramePool* pool, const PipelineOptions& options, Channels* channels)
+TrackerThread::TrackerThread(FrameStage* stage, rt::FramePool* pool, hal::Camera* camera,
+                             const PipelineOptions& options, Channels* channels)
     : stage_(stage),
+      camera_(camera),
       options_(options),
       channels_(channels),
       readers_(pool->layout().readers),
@@ -74,6 +76,9 @@ void TrackerThread::track_one(rt::FrameHandle handle) {
   t_last_capture_ns_ = record.t_capture_ns;
   if (options_.tap != nullptr) options_.tap->frame_done(record);
   say(state_.changed(record));
+  if (options_.imu == nullptr) {
+    if (const auto rate = turn_.rate(record)) camera_->turning(*rate);
+  }
   const rt::TimeNs mapper_cpu = channels_->mapper_cpu_ns.load(std::memory_order_relaxed);
   record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen_;
   record.stage_ns[kMapStage] = record.mapper_cpu_ns;

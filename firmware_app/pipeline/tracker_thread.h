@@ -9,14 +9,17 @@
 #include "firmware_app/pipeline/pipeline.h"
 #include "firmware_app/pipeline/silence_watch.h"
 #include "firmware_app/pipeline/state_watch.h"
+#include "firmware_app/pipeline/turn_watch.h"
 #include "firmware_app/scheduler/scheduler.h"
+#include "hal/camera/camera.h"
 
 namespace godwit::app {
 
 class TrackerThread {
  public:
-  /// All outlive it.
-  TrackerThread(FrameStage* stage, rt::FramePool* pool, const PipelineOptions& options, Channels* channels);
+  /// All outlive it. camera: hears how fast it turns where no IMU says it.
+  TrackerThread(FrameStage* stage, rt::FramePool* pool, hal::Camera* camera, const PipelineOptions& options,
+                Channels* channels);
 
   /// The thread's body, under real-time rules: until the camera's thread has ended and its last frame is through.
   void run(rt::Pulse* pulse);
@@ -38,6 +41,8 @@ class TrackerThread {
   void look_after_detector(const rt::FrameHandle& handle, const FrameRecord& record);
 
   FrameStage* const stage_;
+  hal::Camera* const camera_;
+  TurnWatch turn_;
   const PipelineOptions& options_;
   Channels* const channels_;
   const int readers_;     ///< references to a frame

@@ -69,6 +69,10 @@ CameraCalibration read_own(const Reader& in) {
     c.channels = channels[0] - '0';
   }
   if (in.has("T_body_cam")) c.T_body_cam = yaml::rigid_motion(in, "T_body_cam", in.numbers("T_body_cam"));
+  if (in.has("time_offset_s")) {
+    c.time_offset_s = in.number("time_offset_s");
+    if (std::abs(*c.time_offset_s) > 1) in.fail("time_offset_s", "at most a second is wanted");
+  }
   return c;
 }
 
@@ -92,7 +96,8 @@ rt::Result<CameraCalibration> parse_calibration(std::string_view text, const std
   // OpenCV begins its files with "%YAML:1.0", which is no YAML.
   if (text.compare(0, 6, "%YAML:") == 0) text.remove_prefix(std::min(text.find('\n'), text.size()));
   try {
-    const YAML::Node root = YAML::Load(std::string(text));
+    const bool toml = name.size() > 5 && name.compare(name.size() - 5, 5, ".toml") == 0;
+    const YAML::Node root = toml ? yaml::load_toml(text, name) : YAML::Load(std::string(text));
     if (!root.IsMap()) return rt::Error{name + ": not a list of 'key: value' lines"};
     const Reader in(root, name);
     CameraCalibration c;

@@ -40,10 +40,11 @@ struct CameraCalibration {
   std::optional<double> time_offset_s;
 };
 
-/// Reads our own camera.yaml (model, width, height, fx, fy, cx, cy, distortion_model, distortion, ..), EuRoC's
-/// sensor.yaml (camera_model, intrinsics, resolution, distortion_coefficients, T_BS, ..), Kalibr's camchain.yaml and
-/// camchain-imucam.yaml (cam0), ROS's camera_info or OpenCV's FileStorage (camera_matrix, ..): whichever it is. Error:
-/// names the file, the key, its line and the reason; numbers that are not finite or absurd are refused.
+/// Reads our own camera.toml (a name that ends so: table [camera]) and camera.yaml (model, width, height, fx, fy, cx,
+/// cy, distortion_model, distortion, ..), EuRoC's sensor.yaml (camera_model, intrinsics, resolution,
+/// distortion_coefficients, T_BS, ..), Kalibr's camchain.yaml and camchain-imucam.yaml (cam0), ROS's camera_info or
+/// OpenCV's FileStorage (camera_matrix, ..): whichever it is. Error: names the file, the key, its line and the reason;
+/// numbers that are not finite or absurd are refused.
 rt::Result<CameraCalibration> parse_calibration(std::string_view text, const std::string& name);
 
 }  // namespace godwit::hal

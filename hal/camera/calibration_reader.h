@@ -52,6 +52,8 @@ void read_distortion(const Reader& in, const std::string& model_key, const std::
 /// 16 numbers that must be a rigid motion.
 std::array<double, 16> rigid_motion(const Reader& in, const std::string& key, const std::vector<double>& values);
 
+/// Table [camera] of our own TOML as the map that camera.yaml is.
+YAML::Node load_toml(std::string_view text, const std::string& name);
 /// Kalibr's camchain.yaml and camchain-imucam.yaml: its first camera, cam0 (T_cam_imu is turned into T_body_cam).
 CameraCalibration read_kalibr(const YAML::Node& root, const std::string& name);
 /// ROS's camera_info, as camera_calibration writes it.

@@ -43,6 +43,9 @@ class Camera {
   /// says which one it was.
   virtual CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                             CapturedFrame* frame, std::string* why) = 0;
+  /// How fast the camera turns, from whoever knows: an automatic exposure keeps motion blur small by it. Any thread; no
+  /// allocation, no lock.
+  virtual void turning(double /*rate_rad_s*/) {}
   /// What the device has to say beside its pictures (lost, back, a clock that is not what it says); null: nothing. The
   /// thread of next() writes, one other may read.
   virtual rt::LogRing* events() { return nullptr; }

@@ -46,6 +46,8 @@ class ExposureControl {
   /// The picture that came, and how fast the camera turns (0: unknown or still). True: current() has changed, set it.
   bool frame(const Brightness& seen, double turn_rad_s);
   const Exposure& current() const { return now_; }
+  /// What the device made of it: its controls go in steps.
+  void applied(const Exposure& set) { now_ = set; }
   /// Longest exposure at this rate.
   rt::TimeNs limit_ns(double turn_rad_s) const;
 

@@ -15,7 +15,8 @@ void SampleClock::start(rt::TimeNs step_ns) {
 }
 
 rt::TimeNs SampleClock::take(int count, rt::TimeNs after_ns, rt::TimeNs before_ns) {
-  const rt::TimeNs oldest_allowed = any_ ? newest_ns_ + 1 : 0;
+  // A first look that came late found its sample old; the second one then seems to follow at once.
+  const rt::TimeNs oldest_allowed = any_ ? newest_ns_ + step_ns() / 2 : 0;
   rt::TimeNs newest = before_ns;
   if (any_) {
     const rt::TimeNs expected = newest_ns_ + static_cast<rt::TimeNs>(step_ns_ * count);
@@ -26,8 +27,10 @@ rt::TimeNs SampleClock::take(int count, rt::TimeNs after_ns, rt::TimeNs before_n
         std::clamp(step_ns_ + kStepGain * correction, nominal_ns_ * (1 - kMostOff), nominal_ns_ * (1 + kMostOff));
   }
   any_ = true;
-  newest_ns_ = std::max(newest, oldest_allowed);
-  return std::max(newest_ns_ - static_cast<rt::TimeNs>(step_ns_ * (count - 1)), oldest_allowed);
+  const rt::TimeNs span = step_ns() * (count - 1);
+  const rt::TimeNs oldest = std::max(newest - span, oldest_allowed);
+  newest_ns_ = oldest + span;
+  return oldest;
 }
 
 }  // namespace godwit::hal

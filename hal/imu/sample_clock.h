@@ -16,7 +16,7 @@ class SampleClock {
   void start(rt::TimeNs step_ns);
   /// `count` samples (1 or more) were found; the newest was taken after after_ns (a look that did not find it) and not
   /// after before_ns (the look that did). Returns the time of the oldest of them; the next ones follow by step_ns().
-  /// Times never go back.
+  /// Two samples are never nearer to each other than half a step: whoever integrates divides by it.
   rt::TimeNs take(int count, rt::TimeNs after_ns, rt::TimeNs before_ns);
   /// As it is estimated now.
   rt::TimeNs step_ns() const { return static_cast<rt::TimeNs>(step_ns_); }

@@ -49,6 +49,29 @@ TEST(Devices, SettingsOfAV4l2CameraComeFromConfigurationAndCalibration) {
   EXPECT_EQ(s.value().controls[1].second, -20);
 }
 
+TEST(Devices, WhoSetsTheExposureComesFromTheConfiguration) {
+  auto calibration = hal::parse_calibration(kCalibration, "camera.yaml");
+  ASSERT_TRUE(calibration.ok());
+  Config::Camera config;
+  EXPECT_EQ(v4l2_settings(config, calibration.value()).value().exposure.mode, hal::ExposureMode::kOff);
+  config.exposure = Config::Camera::Exposure::kFixed;
+  config.exposure_ms = 2.5;
+  config.gain = 4;
+  hal::ExposurePlan plan = v4l2_settings(config, calibration.value()).value().exposure;
+  EXPECT_EQ(plan.mode, hal::ExposureMode::kFixed);
+  EXPECT_EQ(plan.fixed.exposure_ns, 2'500'000);
+  EXPECT_EQ(plan.fixed.gain, 4);
+  config.exposure = Config::Camera::Exposure::kAutomatic;
+  config.exposure_unit_us = 18.9;
+  plan = v4l2_settings(config, calibration.value()).value().exposure;
+  EXPECT_EQ(plan.mode, hal::ExposureMode::kAutomatic);
+  EXPECT_EQ(plan.automatic.focal_px, 450);
+  EXPECT_EQ(plan.automatic.most_ns, 20 * rt::kNsPerMs) << "40 ms from frame to frame, 20 ms of readout";
+  EXPECT_EQ(plan.exposure_unit_ns, 18'900);
+  config.exposure_most_ms = 5;
+  EXPECT_EQ(v4l2_settings(config, calibration.value()).value().exposure.automatic.most_ns, 5 * rt::kNsPerMs);
+}
+
 TEST(Devices, MistakesNameTheirKeyAndLine) {
   const test::TempFolder folder;
   test::write_file(folder / "camera.yaml", kCalibration);
@@ -89,7 +112,7 @@ TEST(Devices, WhatIsNotThereIsToldAndNoReasonNotToStart) {
   config.imu.device = "no-such-sensor";
   imu = open_imu(config.imu, log);
   ASSERT_TRUE(imu.ok());
-  EXPECT_THAT(told, HasSubstr("warning: IMU no-such-sensor: iio: "));
+  EXPECT_THAT(told, HasSubstr("warning: IMU: iio: "));
 }
 
 }  // namespace

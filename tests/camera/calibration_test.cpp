@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "hal/camera/calibration_toml.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::hal {
@@ -216,6 +217,45 @@ TEST(Calibration, ReadsTheSharedSequencesFiles) {
     const auto c = parse_calibration(test::read_file(data + file), file);
     EXPECT_TRUE(c.ok()) << c.error().message;
   }
+}
+
+TEST(CalibrationToml, WhatIsWrittenIsReadAgainToTheBit) {
+  auto own = parse_calibration(kOwn, "camera.yaml");
+  ASSERT_TRUE(own.ok());
+  CameraCalibration c = own.value();
+  c.readout_frames = 0.6;
+  c.T_body_cam = {0, 0, 1, 0.1, 1, 0, 0, -0.02, 0, 1, 0, 0.05, 0, 0, 0, 1};
+  c.time_offset_s = -0.0125;
+  for (const auto model : {CameraCalibration::Distortion::kRadTan, CameraCalibration::Distortion::kKannalaBrandt4}) {
+    c.distortion_model = model;
+    if (model == CameraCalibration::Distortion::kKannalaBrandt4) c.distortion[4] = 0;
+    const auto read = parse_calibration(calibration_toml(c, "# a word\n"), "camera.toml");
+    ASSERT_TRUE(read.ok()) << read.error().message;
+    const CameraCalibration& r = read.value();
+    EXPECT_EQ(r.width, c.width);
+    EXPECT_EQ(r.height, c.height);
+    EXPECT_EQ(r.fx, c.fx);
+    EXPECT_EQ(r.fy, c.fy);
+    EXPECT_EQ(r.cx, c.cx);
+    EXPECT_EQ(r.cy, c.cy);
+    EXPECT_EQ(r.distortion_model, c.distortion_model);
+    EXPECT_EQ(r.distortion, c.distortion);
+    EXPECT_EQ(r.channels, c.channels);
+    EXPECT_EQ(r.fps, c.fps);
+    EXPECT_NEAR(r.readout_frames, c.readout_frames, 1e-12);
+    EXPECT_EQ(r.T_body_cam, c.T_body_cam);
+    EXPECT_EQ(r.time_offset_s, c.time_offset_s);
+  }
+}
+
+TEST(CalibrationToml, MistakesAreNamed) {
+  const auto wrong = [](const std::string& text) {
+    const auto read = parse_calibration(text, "camera.toml");
+    return read.ok() ? std::string() : read.error().message;
+  };
+  EXPECT_THAT(wrong("x = 1\n"), HasSubstr("camera.toml: no table [camera]"));
+  EXPECT_THAT(wrong("[camera]\nmodel = \n"), HasSubstr("camera.toml:2: not TOML"));
+  EXPECT_THAT(wrong("[camera]\nmodel = \"pinhole\"\n"), HasSubstr("width"));
 }
 
 }  // namespace

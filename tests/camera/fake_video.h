@@ -1,8 +1,10 @@
 // A V4L2 device that a test plays: it answers as told, truthfully or not, and its clock goes when the test says so.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <deque>
 #include <functional>
@@ -10,6 +12,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "hal/camera/v4l2/video_system.h"
@@ -50,6 +53,11 @@ struct FakeDevice {
   std::atomic<godwit::rt::TimeNs> now_ns{100 * godwit::rt::kNsPerSecond};
   std::atomic<int> opened{0}, closed{0}, mapped{0};
   std::atomic<bool> streaming{false};
+  std::atomic<godwit::rt::TimeNs> longest_wait_ns{0};
+  bool real_waits = false;  ///< the clock goes only when the test says so
+  /// Whoever sets a control waits as long as this is true.
+  std::atomic<bool> holds_settings{false};
+  std::atomic<int> held{0};
 
   struct Shot {
     std::uint8_t value;
@@ -58,6 +66,13 @@ struct FakeDevice {
     std::uint32_t flags;
     std::int64_t bytes;  ///< -1: as many as it has
   };
+
+  std::int32_t control(std::uint32_t id) {
+    spin.lock();
+    const std::int32_t out = controls.at(id).second;
+    spin.unlock();
+    return out;
+  }
 
   /// A picture whose bytes are all `value` is there from now on. False: no buffer is free (the driver would lose it).
   bool shoot(std::uint8_t value, godwit::rt::TimeNs stamp_ns, std::uint32_t sequence, std::uint32_t flags = 0,
@@ -106,12 +121,28 @@ class FakeVideo final : public godwit::hal::VideoSystem {
   void unmap(void*, std::size_t) override { --d_.mapped; }
   Wait wait_readable(int, godwit::rt::TimeNs timeout_ns) override {
     if (!d_.there) return Wait::kGone;
+    d_.longest_wait_ns = std::max<godwit::rt::TimeNs>(d_.longest_wait_ns, timeout_ns);
     if (d_.shot_count > 0) return Wait::kReady;
-    d_.now_ns += timeout_ns;
+    if (d_.real_waits) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    } else {
+      d_.now_ns += timeout_ns;
+    }
     return Wait::kTimeout;
   }
   godwit::rt::TimeNs now_ns() override { return d_.now_ns; }
-  godwit::hal::ClockOffsets clock_offsets() override { return d_.offsets; }
+  godwit::hal::ClockOffsets clock_offsets() override {
+    godwit::hal::ClockOffsets out;
+    d_.spin.lock();
+    out = d_.offsets;
+    d_.spin.unlock();
+    return out;
+  }
+  void read_clocks(godwit::hal::ClockOffsets* offsets) override {
+    const godwit::hal::ClockOffsets now = clock_offsets();
+    offsets->boottime_ns = now.boottime_ns;
+    offsets->realtime_ns = now.realtime_ns;
+  }
   std::vector<godwit::hal::VideoNode> nodes() override { return d_.listed; }
 
   int ioctl(int, unsigned long request, void* argument) override {
@@ -142,8 +173,27 @@ class FakeVideo final : public godwit::hal::VideoSystem {
         auto* c = static_cast<v4l2_control*>(argument);
         const auto known = d_.controls.find(c->id);
         if (known == d_.controls.end()) return fail(EINVAL);
+        d_.spin.lock();
         (request == VIDIOC_G_CTRL ? c->value : known->second.second) =
             request == VIDIOC_G_CTRL ? known->second.second : c->value;
+        d_.spin.unlock();
+        if (request == VIDIOC_S_CTRL && d_.holds_settings) ++d_.held;
+        while (request == VIDIOC_S_CTRL && d_.holds_settings) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        return 0;
+      }
+      case VIDIOC_QUERY_EXT_CTRL: {
+        auto* q = static_cast<v4l2_query_ext_ctrl*>(argument);
+        if (d_.controls64.count(q->id) == 0) return fail(EINVAL);
+        q->minimum = 10;
+        q->maximum = 100'000'000'000;
+        q->step = 1;
+        return 0;
+      }
+      case VIDIOC_G_EXT_CTRLS: {
+        auto* all = static_cast<v4l2_ext_controls*>(argument);
+        const auto known = d_.controls64.find(all->controls[0].id);
+        if (all->count != 1 || known == d_.controls64.end()) return fail(EINVAL);
+        all->controls[0].value64 = known->second.second;
         return 0;
       }
       case VIDIOC_S_EXT_CTRLS: {

@@ -3,7 +3,10 @@
 #include <cstring>
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
+#include <random>
 #include <vector>
+
+#include "hal/camera/v4l2/yuv_rows.h"
 
 namespace godwit::hal {
 namespace {
@@ -75,6 +78,28 @@ TEST(PixelFormat, YuvAsOpenCvConvertsIt) {
   cv::cvtColor(nv12.mat(CV_8U, kHeight * 3 / 2), want, cv::COLOR_YUV2BGR_NV12);
   EXPECT_LE(worst(b.bgr, want), 2);
   EXPECT_EQ(worst(b.grey, nv12.mat(CV_8U)), 0);
+}
+
+// Many pixels at once give what one after the other gives, at every width.
+TEST(YuvRows, AreTheSameAsPixelByPixel) {
+  std::mt19937 random(3);
+  for (const int width : {2, 4, 14, 16, 18, 62, 64, 66, 254, 256, 258, 640, 752, 1280}) {
+    const auto w = static_cast<std::size_t>(width);
+    // Exactly as long as they must be, so that a sanitizer sees whoever reads or writes beyond.
+    std::vector<std::uint8_t> yuyv(2 * w), luma(w), chroma(w), grey(w), bgr(3 * w), want(3 * w);
+    for (auto* bytes : {&yuyv, &luma, &chroma}) {
+      for (auto& b : *bytes) b = static_cast<std::uint8_t>(random());
+    }
+    yuyv_row(yuyv.data(), width, grey.data(), bgr.data());
+    for (std::size_t x = 0; x < w; ++x) {
+      ASSERT_EQ(grey[x], yuyv[2 * x]);
+      bgr_of_yuv(yuyv[2 * x], yuyv[x / 2 * 4 + 1], yuyv[x / 2 * 4 + 3], &want[3 * x]);
+    }
+    ASSERT_EQ(bgr, want) << width;
+    nv12_row(luma.data(), chroma.data(), width, bgr.data());
+    for (std::size_t x = 0; x < w; ++x) bgr_of_yuv(luma[x], chroma[x / 2 * 2], chroma[x / 2 * 2 + 1], &want[3 * x]);
+    ASSERT_EQ(bgr, want) << width;
+  }
 }
 
 TEST(PixelFormat, BayerGivesTheBlocksColoursAndTheirMean) {

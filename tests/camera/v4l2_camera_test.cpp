@@ -1,13 +1,16 @@
 #include "hal/camera/v4l2/v4l2_camera.h"
 
+#include <filesystem>
 #include <gtest/gtest.h>
 #include <mutex>
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
+#include "hal/camera/fed_camera.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/camera/fake_video.h"
+#include "tests/support/temp_folder.h"
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #include "hal/rt/lock_hook.h"
 #endif
@@ -268,6 +271,182 @@ TEST_F(V4l2CameraTest, ControlsOf64BitsAreSetWholeAndOthersNotCutOff) {
   EXPECT_TRUE(told_.has("control gain = 33333333333: Numerical result out of range")) << told_.all;
 }
 
+TEST_F(V4l2CameraTest, AFixedExposureAndGainAreSetAndTheDevicesOwnSwitchedOff) {
+  device_.controls[V4L2_CID_EXPOSURE_AUTO] = {"Exposure, Auto", 3};
+  device_.controls[V4L2_CID_AUTOGAIN] = {"Gain, Automatic", 1};
+  device_.controls[V4L2_CID_EXPOSURE_ABSOLUTE] = {"Exposure Time, Absolute", 300};
+  device_.controls[V4L2_CID_GAIN] = {"Gain", 16};
+  settings_.exposure.mode = ExposureMode::kFixed;
+  settings_.exposure.fixed = {2'570'000, 3};
+  settings_.exposure.gain_one = 16;
+  open();
+  EXPECT_EQ(device_.controls[V4L2_CID_EXPOSURE_AUTO].second, V4L2_EXPOSURE_MANUAL);
+  EXPECT_EQ(device_.controls[V4L2_CID_AUTOGAIN].second, 0);
+  EXPECT_EQ(device_.controls[V4L2_CID_EXPOSURE_ABSOLUTE].second, 25) << "in steps of 100 us";
+  EXPECT_EQ(device_.controls[V4L2_CID_GAIN].second, 49) << "gain makes up for the 70 us that are missing";
+  stamp_ns_ -= 1000;
+  ASSERT_EQ(shoot(), CameraStatus::kFrame);
+  EXPECT_EQ(frame_.t_capture_ns, stamp_ns_ - 1'250'000);
+}
+
+TEST_F(V4l2CameraTest, ExposureOfTegraIsInMicrosecondsAndThatOfASensorInLines) {
+  device_.controls64[0x009a200a] = {"Exposure", 0};
+  device_.controls64[0x009a2009] = {"Gain", 0};
+  settings_.exposure.mode = ExposureMode::kFixed;
+  settings_.exposure.fixed = {2'570'000, 4};
+  open();
+  EXPECT_EQ(device_.controls64[0x009a200a].second, 2570);
+  EXPECT_EQ(device_.controls64[0x009a2009].second, 40) << "its lowest, 10, is gain 1";
+  camera_.reset();
+  device_.controls64.clear();
+  device_.controls[V4L2_CID_EXPOSURE] = {"Exposure", 100};
+  open();
+  EXPECT_TRUE(told_.has("camera.exposure_unit_us is needed")) << told_.all;
+  EXPECT_EQ(device_.controls[V4L2_CID_EXPOSURE].second, 100);
+  camera_.reset();
+  // 64 columns and 136 of blanking at 10 MHz: a line lasts 20 us.
+  device_.controls[V4L2_CID_HBLANK] = {"Horizontal Blanking", 136};
+  device_.controls64[V4L2_CID_PIXEL_RATE] = {"Pixel Rate", 10'000'000};
+  open();
+  EXPECT_EQ(device_.controls[V4L2_CID_EXPOSURE].second, 128);
+}
+
+TEST_F(V4l2CameraTest, GainInDecibelsIsReckonedAndNamedControlsAreUsed) {
+  device_.controls[V4L2_CID_GAIN] = {"Gain", 1};
+  device_.controls[V4L2_CID_BRIGHTNESS] = {"Brightness", 1};
+  settings_.exposure.mode = ExposureMode::kFixed;
+  settings_.exposure.fixed = {1'000'000, 10};
+  settings_.exposure.gain_step_db = 0.1;
+  settings_.exposure.exposure_control = "brightness";
+  settings_.exposure.exposure_unit_ns = 10'000;
+  open();
+  EXPECT_EQ(device_.controls[V4L2_CID_GAIN].second, 200);
+  EXPECT_EQ(device_.controls[V4L2_CID_BRIGHTNESS].second, 100);
+  settings_.exposure.exposure_control = "shutter";
+  open();
+  EXPECT_TRUE(told_.has("has no control shutter; it has brightness, gain")) << told_.all;
+}
+
+/// A sensor of which each setting is in a picture `delay` pictures later.
+class AutomaticExposureTest : public V4l2CameraTest {
+ protected:
+  void open_automatic() {
+    device_.controls[V4L2_CID_EXPOSURE_ABSOLUTE] = {"Exposure Time, Absolute", 40};
+    device_.controls[V4L2_CID_GAIN] = {"Gain", 1};
+    settings_.exposure.mode = ExposureMode::kAutomatic;
+    settings_.exposure.automatic.focal_px = 500;
+    open();
+  }
+  /// Waits until the camera's own thread has looked at the picture. Its mean.
+  int picture(double scene, std::size_t delay) {
+    set_.push_back(device_.control(V4L2_CID_EXPOSURE_ABSOLUTE) * device_.control(V4L2_CID_GAIN));
+    const int light = set_[set_.size() > delay ? set_.size() - 1 - delay : 0];
+    const int value = static_cast<int>(std::min(255.0, scene * light));
+    EXPECT_EQ(shoot(static_cast<std::uint8_t>(value)), CameraStatus::kFrame);
+    ++looked_at_;
+    for (int i = 0; i < 60'000 && camera_->steered() < looked_at_; ++i) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    EXPECT_EQ(camera_->steered(), looked_at_);
+    return value;
+  }
+  std::vector<int> set_;
+  std::uint64_t looked_at_ = 0;
+};
+
+TEST_F(AutomaticExposureTest, SettlesWithinTenPicturesAfterAFactorOfEight) {
+  open_automatic();
+  for (const std::size_t delay : {std::size_t{0}, std::size_t{3}}) {
+    for (const double scene : {2.5, 20.0, 2.5, 0.3}) {
+      int value = 0;
+      for (int i = 0; i < 11; ++i) value = picture(scene, delay);
+      EXPECT_NEAR(value, 100, 15) << "scene " << scene << " delay " << delay;
+      for (int i = 0; i < 15; ++i) EXPECT_NEAR(picture(scene, delay), 100, 15) << "it swings";
+    }
+  }
+}
+
+TEST_F(AutomaticExposureTest, ATurnShortensTheExposureAndGainMakesUpForIt) {
+  open_automatic();
+  for (int i = 0; i < 10; ++i) picture(2.5, 0);
+  EXPECT_EQ(device_.control(V4L2_CID_EXPOSURE_ABSOLUTE), 40);
+  for (int i = 0; i < 10; ++i) {
+    camera_->turning(-1.0);  // 500 pixels a second: 2 ms for one
+    camera_->turning(0.5);   // the largest since the last picture counts
+    picture(2.5, 0);
+  }
+  EXPECT_EQ(device_.control(V4L2_CID_EXPOSURE_ABSOLUTE), 20);
+  EXPECT_EQ(device_.control(V4L2_CID_GAIN), 2);
+  // The stamps' middle follows what was set.
+  ASSERT_EQ(shoot(100), CameraStatus::kFrame);
+  EXPECT_EQ(frame_.t_capture_ns, stamp_ns_ - rt::kNsPerMs);
+}
+
+TEST_F(AutomaticExposureTest, ADriverThatIsSlowToSetHoldsUpNoPicture) {
+  open_automatic();
+  picture(2.5, 0);
+  device_.holds_settings = true;
+  ASSERT_EQ(shoot(20), CameraStatus::kFrame);
+  for (int i = 0; i < 60'000 && device_.held == 0; ++i) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  ASSERT_GE(device_.held, 1);
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  for (int i = 0; i < 40; ++i) {
+    const rt::RtScope real_time;
+    ASSERT_EQ(shoot(20), CameraStatus::kFrame);
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  device_.holds_settings = false;
+}
+
+TEST_F(AutomaticExposureTest, ADeviceThatComesBackGoesOnWithTheExposureItHad) {
+  open_automatic();
+  for (int i = 0; i < 12; ++i) picture(20, 0);
+  const int exposure = device_.control(V4L2_CID_EXPOSURE_ABSOLUTE);
+  EXPECT_NEAR(exposure, 5, 1);
+  device_.there = false;
+  EXPECT_EQ(next(), CameraStatus::kTimeout);
+  device_.controls[V4L2_CID_EXPOSURE_ABSOLUTE].second = 300;  // as it wakes up
+  device_.there = true;
+  until([&] { return camera_->streaming(); });
+  EXPECT_EQ(device_.control(V4L2_CID_EXPOSURE_ABSOLUTE), exposure);
+}
+
+TEST_F(V4l2CameraTest, WaitsNoLongerThanItMayWhenTheDeviceComesMeanwhile) {
+  device_.there = false;
+  settings_.stall_ns = 3600 * rt::kNsPerSecond;
+  open();
+  std::thread plugs([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    device_.there = true;
+  });
+  constexpr rt::TimeNs kMayWaitNs = 60 * rt::kNsPerSecond;
+  EXPECT_EQ(next(kMayWaitNs), CameraStatus::kTimeout);
+  plugs.join();
+  EXPECT_TRUE(camera_->streaming());
+  EXPECT_LT(device_.longest_wait_ns, kMayWaitNs - 250 * rt::kNsPerMs);
+}
+
+TEST_F(V4l2CameraTest, AClockThatIsSetCostsOnePictureAndMovesNoOther) {
+  constexpr rt::TimeNs kAhead = 1'700'000'000LL * rt::kNsPerSecond;
+  device_.offsets.realtime_ns = -kAhead;
+  stamp_ns_ += kAhead;
+  open();
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_EQ(shoot(), CameraStatus::kFrame);
+    EXPECT_EQ(frame_.t_capture_ns, stamp_ns_ - kAhead);
+  }
+  constexpr rt::TimeNs kSetBack = 600 * rt::kNsPerMs;
+  device_.spin.lock();
+  device_.offsets.realtime_ns += kSetBack;
+  device_.spin.unlock();
+  stamp_ns_ -= kSetBack;
+  EXPECT_EQ(shoot(), CameraStatus::kBadFrame);
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_EQ(shoot(), CameraStatus::kFrame) << why_;
+    EXPECT_EQ(frame_.t_capture_ns, stamp_ns_ - kAhead + kSetBack);
+  }
+}
+
 TEST_F(V4l2CameraTest, MjpegIsDecodedAndWhatIsCutOffIsBad) {
   const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(30, 120, 200));
   cv::imencode(".jpg", picture, device_.jpeg);
@@ -287,6 +466,89 @@ TEST_F(V4l2CameraTest, MjpegIsDecodedAndWhatIsCutOffIsBad) {
   EXPECT_NE(why_.find("another size"), std::string::npos);
   cv::imencode(".jpg", picture, device_.jpeg);
   EXPECT_EQ(shoot(), CameraStatus::kFrame);
+}
+
+TEST_F(V4l2CameraTest, FedByAThreadOfItsOwnMjpegCostsTheReaderNoHeapAndNoLock) {
+  const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(30, 120, 200));
+  cv::imencode(".jpg", picture, device_.jpeg);
+  device_.formats = {V4L2_PIX_FMT_MJPEG};
+  device_.real_waits = true;
+  open();
+  V4l2Camera* const inner = camera_.get();
+  auto fed = FedCamera::start(std::move(camera_), {});
+  ASSERT_TRUE(fed.ok());
+  FedCamera& camera = *fed.value();
+  EXPECT_TRUE(camera.real_time());
+  EXPECT_EQ(camera.channels(), 3);
+  const auto shoot_and_read = [&] {
+    device_.now_ns += kFrameNs;
+    stamp_ns_ = device_.now_ns - rt::kNsPerMs;
+    while (!device_.shoot(7, stamp_ns_, sequence_)) std::this_thread::yield();
+    ++sequence_;
+    CameraStatus status = CameraStatus::kTimeout;
+    for (int i = 0; i < 600 && status == CameraStatus::kTimeout; ++i) {
+      status = camera.next(grey(), bgr_.data(), 100 * rt::kNsPerMs, &frame_, &why_);
+    }
+    return status;
+  };
+  ASSERT_EQ(shoot_and_read(), CameraStatus::kFrame);
+  const rt::HeapCounts before = rt::rt_heap_counts();
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+  const std::uint64_t locks = rt::rt_lock_count();
+#endif
+  for (std::uint32_t i = 1; i < 30; ++i) {
+    const rt::RtScope real_time;
+    ASSERT_EQ(shoot_and_read(), CameraStatus::kFrame);
+    ASSERT_EQ(frame_.sequence, i);
+    ASSERT_EQ(frame_.t_source_ns, stamp_ns_ / 1000 * 1000);
+    ASSERT_NEAR(pixels_.back(), 0.114 * 30 + 0.587 * 120 + 0.299 * 200, 3);
+    ASSERT_NEAR(bgr_.back(), 200, 4);
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+  EXPECT_EQ(rt::rt_lock_count(), locks);
+#endif
+  device_.jpeg.resize(device_.jpeg.size() / 2);
+  EXPECT_EQ(shoot_and_read(), CameraStatus::kBadFrame);
+  EXPECT_NE(why_.find("JPEG"), std::string::npos);
+  // Nobody takes them: they are passed over, and the newest four are kept waiting no longer than that.
+  for (int i = 0; i < 60'000 && camera.passed_over() == 0; ++i) {
+    device_.now_ns += kFrameNs;
+    stamp_ns_ = device_.now_ns - rt::kNsPerMs;
+    device_.shoot(7, stamp_ns_, sequence_++);
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_GT(camera.passed_over(), 0u);
+  EXPECT_GE(inner->counters().damaged, 1u);
+}
+
+TEST(LinuxVideo, ANodeWithoutADeviceHasNoSerialNumber) {
+  const test::TempFolder folder;
+  std::filesystem::create_directories(folder / "sys/class/video4linux/video0");
+  std::filesystem::create_directories(folder / "sys/class/video4linux/video3/device");
+  test::write_file(folder / "sys/class/video4linux/video3/device/serial", "A3\n");
+  test::write_file(folder / "serial", "of the working folder\n");
+  const std::filesystem::path before = std::filesystem::current_path();
+  std::filesystem::current_path(std::string(folder / "."));
+  const auto nodes = linux_video_system(folder / "sys", folder / "dev")->nodes();
+  std::filesystem::current_path(before);
+  ASSERT_EQ(nodes.size(), 2u);
+  EXPECT_EQ(nodes[0].serial, "");
+  EXPECT_EQ(nodes[1].serial, "A3");
+}
+
+// A folder that is read in pieces and goes in between ends with an error, which an iterator's ++ throws.
+TEST(LinuxVideo, DevicesThatGoWhileTheyAreListedAreNoExceptionOfOurs) {
+  const test::TempFolder folder;
+  const std::string nodes = folder / "sys/class/video4linux";
+  for (int round = 0; round < 2; ++round) {
+    std::filesystem::create_directories(nodes);
+    for (int i = 0; i < 1300; ++i) test::write_file(nodes + "/video" + std::to_string(i), "");
+    std::thread unplugs([&] { std::filesystem::remove_all(nodes); });
+    const auto system = linux_video_system(folder / "sys", folder / "dev");
+    EXPECT_NO_THROW(system->nodes());
+    unplugs.join();
+  }
 }
 
 TEST(VideoNode, DevicesAreChosenByPathNameOrSerialNumber) {

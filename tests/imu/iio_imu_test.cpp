@@ -5,25 +5,38 @@
 #include <gtest/gtest.h>
 #include <limits>
 
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
+
 namespace godwit::hal {
 namespace {
 
 /// A driver: what it is, and the readings that wait in its buffer. Time goes when somebody waits.
 struct Driver {
   rt::TimeNs* now;
-  IioDescription is{true, true, 0.001, 0.0001, 16, 16, 200, 0};
+  IioDescription is{true, true, 0.001, 0.0001, 16, 16, 200};
   bool there = true, gone = false;
+  rt::TimeNs offset_ns = 0;      ///< to add to its times
+  rt::TimeNs opening_takes = 0;  ///< of its own thread
   std::deque<IioScan> scans{};
 };
 
 class FakePort final : public IioPort {
  public:
   explicit FakePort(Driver* d) : d_(*d) {}
-  rt::Result<IioDescription> open(const std::string& device, double) override {
-    if (!d_.there) return rt::Error{"iio: no device " + device};
-    return d_.is;
+  void begin_open() override {
+    ordered_ = d_.there ? State::kOpen : State::kFailed;
+    error_ = d_.there ? "" : "iio: no device imu";
+    ready_ns_ = *d_.now + d_.opening_takes;
   }
-  void close() override { d_.scans.clear(); }
+  void begin_close() override {
+    d_.scans.clear();
+    ordered_ = State::kClosed;
+  }
+  State state() override { return *d_.now < ready_ns_ ? State::kBusy : ordered_; }
+  const IioDescription& description() override { return d_.is; }
+  std::string error() override { return error_; }
+  rt::TimeNs clock_offset_ns() override { return d_.offset_ns; }
   Read read(IioScan* scans, int capacity, rt::TimeNs timeout_ns, int* count) override {
     *count = 0;
     if (d_.gone) return Read::kGone;
@@ -36,13 +49,14 @@ class FakePort final : public IioPort {
 
  private:
   Driver& d_;
+  State ordered_ = State::kClosed;
+  std::string error_;
+  rt::TimeNs ready_ns_ = 0;
 };
 
 class IioImuTest : public ::testing::Test {
  protected:
   void open(bool two = false) {
-    settings_.device = "imu";
-    if (two) settings_.accel_device = "accel";
     imu_ = IioImu::open(std::make_unique<FakePort>(&gyro_), two ? std::make_unique<FakePort>(&accel_) : nullptr,
                         settings_);
   }
@@ -128,9 +142,19 @@ TEST_F(IioImuTest, SamplesOutOfOrderAreLeftOutAndTimesOfAnotherClockTold) {
 }
 
 TEST_F(IioImuTest, AClockThatCannotBeSetIsConverted) {
-  gyro_.is.clock_offset_ns = -1'700'000'000LL * rt::kNsPerSecond;
+  gyro_.offset_ns = -1'700'000'000LL * rt::kNsPerSecond;
   open();
-  measure(4, -1'700'000'000LL * rt::kNsPerSecond);
+  measure(4, gyro_.offset_ns);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
+  // Somebody sets that clock: what was stamped around it is left out, then its new offset holds.
+  gyro_.offset_ns += 400 * rt::kNsPerMs;
+  measure(5, gyro_.offset_ns - 400 * rt::kNsPerMs);
+  EXPECT_EQ(next(), ImuStatus::kFault);
+  rt::LogEntry e;
+  ASSERT_TRUE(imu_->events()->take(&e));
+  EXPECT_STREQ(e.what, "IMU clock was set");
+  measure(6, gyro_.offset_ns);
   ASSERT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.t_ns, now_);
 }
@@ -188,7 +212,27 @@ TEST_F(IioImuTest, ADeviceThatIsNotThereOrMeasuresSomethingElseIsToldInWords) {
   EXPECT_NE(imu_->trouble().find("imu.accel_device names"), std::string::npos);
   gyro_.is.has_gyro = false;
   open();
-  EXPECT_EQ(imu_->trouble(), "iio: imu measures no rates");
+  EXPECT_EQ(imu_->trouble(), "imu.device measures no rates");
+}
+
+// As the thread that reads it runs in flight: opening anew is somebody else's work.
+TEST_F(IioImuTest, ADeviceThatGoesAndComesBackCostsNextNoHeapAndNoMoreTimeThanItMayTake) {
+  open();
+  gyro_.opening_takes = 300 * rt::kNsPerMs;
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  gyro_.gone = true;
+  {
+    const rt::RtScope real_time;
+    EXPECT_EQ(next(), ImuStatus::kFault);
+    gyro_.gone = false;
+    for (int i = 0; i < 100 && imu_->counters().restarts == 0; ++i) {
+      const rt::TimeNs began = now_;
+      EXPECT_NE(next(), ImuStatus::kSample);
+      EXPECT_LE(now_ - began, 10 * rt::kNsPerMs);
+    }
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
+  EXPECT_EQ(imu_->counters().restarts, 1u);
 }
 
 TEST_F(IioImuTest, AccelerationOfASecondDeviceIsInterpolatedToTheRates) {

@@ -231,6 +231,50 @@ TEST_F(Mpu6000Test, ChipsThatLieAreToldInWordsAndTakenBackWhenTheyStop) {
   EXPECT_EQ(imu_->counters().restarts, 5u);
 }
 
+// As the thread that reads it runs: it has a heartbeat, and other things to look at.
+TEST_F(Mpu6000Test, SettingUpAnewTakesNoCallLongerThanItMayWait) {
+  for (const bool self_test : {false, true}) {
+    settings_.self_test = self_test;
+    chip_ = {};
+    chip_.there = !self_test;  // the test is made at the first start, which is here in next()
+    open();
+    chip_.there = false;
+    next();
+    chip_.there = true;
+    const std::uint64_t restarts = imu_->counters().restarts;
+    while (imu_->counters().restarts == restarts) {
+      const rt::TimeNs began = chip_.now;
+      imu_->next(&s_, 10 * rt::kNsPerMs);
+      ASSERT_LE(chip_.now - began, 13 * rt::kNsPerMs);  // and a few transfers
+      ASSERT_LT(chip_.now, 1005 * rt::kNsPerSecond);
+    }
+    EXPECT_EQ(trouble(), "");
+    rt::LogEntry e;
+    bool judged = false;
+    while (imu_->events()->take(&e)) judged = judged || std::string(e.what).find("self-test") != std::string::npos;
+    EXPECT_EQ(judged, self_test);
+  }
+}
+
+TEST(SampleClock, SamplesThatSeemToComeTogetherAreSetApart) {
+  constexpr rt::TimeNs kStep = 5 * rt::kNsPerMs;
+  SampleClock clock;
+  clock.start(kStep);
+  // The first look came late: its sample was nearly a step old, and the next one is there at once.
+  rt::TimeNs last = clock.take(1, 0, 1000 * rt::kNsPerMs);
+  for (int i = 1; i < 400; ++i) {
+    const rt::TimeNs t = 995'100'000 + i * kStep;
+    const rt::TimeNs found = clock.take(1, t - kStep, t + 100'000);
+    ASSERT_GE(found - last, kStep * 2 / 5) << i;
+    last = found;
+  }
+  // A buffer with several: the last of them counts, too.
+  const rt::TimeNs oldest = clock.take(4, last, last + kStep / 10);
+  EXPECT_GE(oldest - last, kStep * 2 / 5);
+  const rt::TimeNs newest = oldest + 3 * clock.step_ns();
+  EXPECT_GE(clock.take(1, newest, newest + 1) - newest, kStep * 2 / 5);
+}
+
 TEST_F(Mpu6000Test, AnotherChipIsNamed) {
   const auto at_start = [&](const std::string& words) {
     open();

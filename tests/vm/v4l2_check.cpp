@@ -1,6 +1,7 @@
 // V4l2Camera on a real driver: vivid, the kernel's own emulated capture device. Runs as root in a machine of its own.
 //   godwit_v4l2_check DEVICE FRAMES
 // Prints what it checked; ends with 1 if something failed.
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -55,6 +56,7 @@ class ShiftedClock final : public VideoSystem {
     if (known_) out.counter_ns = shift_ns_;
     return out;
   }
+  void read_clocks(ClockOffsets* offsets) override { real_->read_clocks(offsets); }
   std::vector<VideoNode> nodes() override { return real_->nodes(); }
 
  private:
@@ -110,6 +112,10 @@ class Watch {
     for (const std::uint8_t v : grey_) seen[v] = true;
     for (const bool s : seen) out.values += s ? 1 : 0;
     return out;
+  }
+
+  double mean() const {
+    return measure_brightness({grey_.data(), settings_.width, settings_.height, settings_.width}).mean;
   }
 
   std::unique_ptr<V4l2Camera> camera;
@@ -186,6 +192,32 @@ void future_stamps(V4l2Settings settings) {
         "stamps of the future are measured anew: " + text(s, w.camera->counters()));
 }
 
+/// vivid has no exposure, but a brightness that its pictures follow; its gain is a number alone.
+void automatic_exposure(V4l2Settings settings, const std::string& ctl) {
+  settings.exposure.mode = ExposureMode::kAutomatic;
+  settings.exposure.exposure_control = "brightness";
+  settings.exposure.exposure_unit_ns = 100'000;
+  settings.exposure.automatic.target_mean = 90;
+  settings.exposure.automatic.most_gain = 1;
+  Watch w(linux_video_system(), settings);
+  char text[96];
+  for (const char* const scene : {"contrast=128", "contrast=40", "contrast=128"}) {
+    run(ctl + scene);
+    w.take(40, 60 * rt::kNsPerSecond);
+    std::snprintf(text, sizeof text, "automatic exposure, %s: mean %.0f, wanted 90", scene, w.mean());
+    check(std::abs(w.mean() - 90) < 0.15 * 90, text);
+  }
+  std::snprintf(text, sizeof text, "steered by %llu pictures", static_cast<unsigned long long>(w.camera->steered()));
+  check(w.camera->steered() >= 100, text);
+  run(ctl + "brightness=128");
+  settings.exposure.mode = ExposureMode::kFixed;
+  settings.exposure.fixed = {20 * rt::kNsPerMs, 1};
+  Watch fixed(linux_video_system(), settings);
+  fixed.take(5, 20 * rt::kNsPerSecond);
+  run("test $(" + ctl.substr(0, ctl.size() - 2) + "-C brightness | tr -dc 0-9) = 200");
+  run(ctl + "brightness=128");
+}
+
 void unplugged(const V4l2Settings& settings, const std::string& ctl) {
   Watch w(linux_video_system(), settings);
   w.take(10, 20 * rt::kNsPerSecond);
@@ -224,6 +256,7 @@ int main(int argc, char** argv) {
   shifted_clock(settings);
   future_stamps(settings);
   injected(settings, ctl);
+  automatic_exposure(settings, ctl);
   unplugged(settings, ctl);
   return failures == 0 ? 0 : 1;
 }

@@ -1,6 +1,7 @@
 #include "hal/camera/v4l2/device_clock.h"
 
 #include <algorithm>
+#include <cstdlib>
 
 namespace godwit::hal {
 
@@ -24,58 +25,101 @@ const char* DeviceClock::name(Source source) {
   return "unknown";
 }
 
-void DeviceClock::start(const ClockOffsets& offsets, rt::TimeNs least_delay_ns) {
-  *this = {};
-  offsets_ = offsets;
-  least_delay_ns_ = least_delay_ns;
+bool DeviceClock::known() const {
+  return source_ == Source::kCounter || source_ == Source::kBoottime || source_ == Source::kRealtime;
 }
 
-void DeviceClock::decide(rt::TimeNs delay_ns) {
+rt::TimeNs DeviceClock::known_offset(const ClockOffsets& offsets) const {
+  switch (source_) {
+    case Source::kCounter:
+      // A file that can no longer be read leaves the offset as it was.
+      return offsets.counter_ns ? counter_sign_ * *offsets.counter_ns : offset_ns_;
+    case Source::kBoottime:
+      return offsets.boottime_ns;
+    case Source::kRealtime:
+      return offsets.realtime_ns;
+    default:
+      return offset_ns_;
+  }
+}
+
+void DeviceClock::decide(rt::TimeNs delay_ns, const ClockOffsets& offsets, rt::TimeNs least_delay_ns) {
   const auto fits = [&](rt::TimeNs offset) {
     return delay_ns - offset >= -kSlackNs && delay_ns - offset <= kMostDelayNs;
   };
   window_any_ = false;
-  first_known_ = false;
+  settling_ = true;
+  pending_ = {};
+  exposure_seen_ns_ = least_delay_ns;
+  exposure_moved_ = exposure_moved_before_ = false;
   const auto choose = [&](Source source, rt::TimeNs offset) {
     source_ = source;
     offset_ns_ = offset;
   };
   if (fits(0)) return choose(Source::kMonotonic, 0);
-  if (offsets_.counter_ns) {
+  if (offsets.counter_ns) {
     // Releases differ in which of the two is the later one; a wrong sign would miss by far more than a delay.
-    for (const rt::TimeNs offset : {-*offsets_.counter_ns, *offsets_.counter_ns}) {
-      if (fits(offset)) return choose(Source::kCounter, offset);
+    for (const int sign : {-1, 1}) {
+      counter_sign_ = sign;
+      if (fits(sign * *offsets.counter_ns)) return choose(Source::kCounter, sign * *offsets.counter_ns);
     }
   }
-  if (fits(offsets_.boottime_ns)) return choose(Source::kBoottime, offsets_.boottime_ns);
-  if (fits(offsets_.realtime_ns)) return choose(Source::kRealtime, offsets_.realtime_ns);
-  choose(Source::kMeasured, delay_ns - least_delay_ns_);
+  if (fits(offsets.boottime_ns)) return choose(Source::kBoottime, offsets.boottime_ns);
+  if (fits(offsets.realtime_ns)) return choose(Source::kRealtime, offsets.realtime_ns);
+  choose(Source::kMeasured, delay_ns - least_delay_ns);
 }
 
-void DeviceClock::follow(rt::TimeNs delay_ns, rt::TimeNs arrival_ns) {
-  if (source_ == Source::kMonotonic) return;
-  // Arrived before it happened: the offset was measured on late arrivals.
-  if (source_ == Source::kMeasured) offset_ns_ = std::min(offset_ns_, delay_ns - least_delay_ns_);
+bool DeviceClock::look_whether_late(rt::TimeNs delay_ns, rt::TimeNs arrival_ns) {
+  const rt::TimeNs late = delay_ns - offset_ns_;
   if (!window_any_) {
     window_any_ = true;
     window_end_ns_ = arrival_ns + kWindowNs;
-    window_least_ns_ = delay_ns;
-    return;
+    window_least_ns_ = late;
+    return false;
   }
-  window_least_ns_ = std::min(window_least_ns_, delay_ns);
-  if (arrival_ns < window_end_ns_) return;
-  // What lies between the stamp and a prompt arrival does not change; what the least delay moves by is the clock's.
-  const rt::TimeNs behind = source_ == Source::kMeasured ? least_delay_ns_ : first_least_ns_;
-  if (source_ == Source::kMeasured || first_known_) {
-    offset_ns_ += std::clamp(window_least_ns_ - behind - offset_ns_, -kSlewNs, kSlewNs);
-  } else {
-    first_known_ = true;
-    first_least_ns_ = window_least_ns_ - offset_ns_;
-  }
+  window_least_ns_ = std::min(window_least_ns_, late);
+  if (arrival_ns < window_end_ns_) return false;
   window_any_ = false;
+  const bool tell = window_least_ns_ > kLateNs && !told_late_;
+  told_late_ = window_least_ns_ > kLateNs;
+  return tell;
 }
 
-DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns) {
+void DeviceClock::close_window() {
+  settling_ = false;
+  window_any_ = false;
+  if (pending_.good && !exposure_moved_) {
+    // Downwards at once: arrivals that were late made it too large. Upwards as fast as clocks drift.
+    offset_ns_ += std::min(pending_.least_ns - offset_ns_, kSlewNs);
+  }
+  pending_ = {!exposure_moved_ && !exposure_moved_before_, window_least_ns_};
+  exposure_moved_before_ = exposure_moved_;
+  exposure_moved_ = false;
+}
+
+void DeviceClock::measure(rt::TimeNs delay_ns, rt::TimeNs arrival_ns, rt::TimeNs least_delay_ns) {
+  // What lies between the stamp and a prompt arrival is exposure and readout; what the rest moves by is the clock's. An
+  // exposure that has changed is known sooner or later than the first picture that has it, so a second next to such a
+  // change says nothing.
+  if (std::abs(least_delay_ns - exposure_seen_ns_) > kSameExposureNs) {
+    exposure_moved_ = true;
+    exposure_seen_ns_ = least_delay_ns;
+  }
+  const rt::TimeNs seen = delay_ns - least_delay_ns;
+  // Arrived before it happened, or sooner than any in the first second.
+  offset_ns_ = std::min(offset_ns_, settling_ && !exposure_moved_ ? seen : delay_ns);
+  if (!window_any_) {
+    window_any_ = true;
+    window_end_ns_ = arrival_ns + kWindowNs;
+    window_least_ns_ = seen;
+    return;
+  }
+  window_least_ns_ = std::min(window_least_ns_, seen);
+  if (arrival_ns >= window_end_ns_) close_window();
+}
+
+DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, const ClockOffsets& offsets,
+                                       rt::TimeNs least_delay_ns) {
   const Source before = source_;
   Reading out;
   if (any_ && stamp_ns == last_stamp_ns_) {
@@ -84,7 +128,7 @@ DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_n
       return out;
     }
     source_ = Source::kArrival;
-    out.t_ns = arrival_ns - least_delay_ns_;
+    out.t_ns = arrival_ns - least_delay_ns;
     out.source_changed = before != source_;
     return out;
   }
@@ -97,21 +141,35 @@ DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_n
   repeats_ = 0;
   last_stamp_ns_ = stamp_ns;
   last_delay_ns_ = delay;
+  const rt::TimeNs moved = known_offset(offsets) - offset_ns_;
   if (!any_ || source_ == Source::kArrival) {
     any_ = true;
-    decide(delay);
-  } else if (delay - offset_ns_ < -early || (delay - offset_ns_ > kMostDelayNs && delay - last_delay > kStepNs) ||
-             (back && source_ == Source::kMeasured)) {
+    decide(delay, offsets, least_delay_ns);
+  } else if (known() && std::abs(moved) > kSlackNs) {
+    // Somebody set that clock between two pictures; whether this one was stamped before or after, nobody knows.
+    offset_ns_ += moved;
+    window_any_ = false;
+    out.verdict = Verdict::kJumped;
+    out.off_ns = moved;
+    return out;
+  } else if (offset_ns_ += moved; delay - offset_ns_ < -early ||
+                                  (delay - offset_ns_ > kMostDelayNs && delay - last_delay > kStepNs) ||
+                                  (back && source_ == Source::kMeasured)) {
     out.verdict = Verdict::kJumped;
     out.off_ns = offset_ns_ - delay;
-    decide(delay);
+    decide(delay, offsets, least_delay_ns);
     out.source_changed = before != source_;
     return out;
   } else if (back) {
     out.verdict = Verdict::kWentBack;
     return out;
   }
-  follow(delay, arrival_ns);
+  if (source_ == Source::kMeasured) {
+    measure(delay, arrival_ns, least_delay_ns);
+  } else if (known() && look_whether_late(delay, arrival_ns)) {
+    out.late = true;
+    out.off_ns = window_least_ns_;
+  }
   out.t_ns = stamp_ns + offset_ns_;
   out.source_changed = before != source_;
   return out;

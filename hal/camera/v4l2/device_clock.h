@@ -8,10 +8,11 @@
 
 namespace godwit::hal {
 
-/// Decides at the first stamp whether the device stamps in CLOCK_MONOTONIC (as it says), in a clock whose offset is
-/// known (Tegra's counter, BOOTTIME, REALTIME), or in one of its own, whose offset is measured: a stamp cannot be
-/// younger than its arrival, so the offset follows the least delay from stamp to arrival, second by second. Pure; no
-/// allocation. One thread.
+/// Decides at the first stamp whether the device stamps in CLOCK_MONOTONIC (as it says), in a clock whose offset the
+/// machine knows (Tegra's counter, BOOTTIME, REALTIME), or in one of its own. A known offset is taken as the machine
+/// has it at each stamp and never moved by arrivals: load must not pass for drift. One of its own is measured: a stamp
+/// cannot be younger than its arrival, so the offset follows the least delay from stamp to arrival, second by second.
+/// Pure; no allocation. One thread.
 class DeviceClock {
  public:
   enum class Source : std::uint8_t { kUnknown, kMonotonic, kCounter, kBoottime, kRealtime, kMeasured, kArrival };
@@ -24,28 +25,36 @@ class DeviceClock {
   struct Reading {
     Verdict verdict = Verdict::kGood;
     rt::TimeNs t_ns = 0;          ///< the stamp on CLOCK_MONOTONIC
-    rt::TimeNs off_ns = 0;        ///< kJumped: by how much
+    rt::TimeNs off_ns = 0;        ///< kJumped: by how much; late: the second's least delay
     bool source_changed = false;  ///< source() is another than before: worth telling
+    /// For a second no picture came sooner than kLateNs after its time: a known offset that is probably wrong. Once.
+    bool late = false;
   };
 
   /// A stamp that arrives later than this was not taken in the clock that it would be read in.
   static constexpr rt::TimeNs kMostDelayNs = rt::kNsPerSecond;
-  /// Clocks that are the same and read one after the other differ by less.
+  /// Clocks that are the same and read one after the other differ by less; one that moves by more between two stamps
+  /// was set.
   static constexpr rt::TimeNs kSlackNs = 2 * rt::kNsPerMs;
   /// A quartz drifts by at most 100 ppm and the kernel slews by at most 500: 0.6 ms a second. What the least delay of
-  /// a second moves beyond is not followed at once: it is load.
+  /// a second rises by beyond is not followed at once: it is load.
   static constexpr rt::TimeNs kSlewNs = rt::kNsPerMs;
   /// A delay that grows by more from one picture to the next was not spent in a queue.
   static constexpr rt::TimeNs kStepNs = rt::kNsPerSecond;
   static constexpr rt::TimeNs kWindowNs = rt::kNsPerSecond;
+  /// Exposure, readout and a USB camera's own work take less.
+  static constexpr rt::TimeNs kLateNs = 300 * rt::kNsPerMs;
+  /// Exposures that differ by less are the same to the measurement of an offset.
+  static constexpr rt::TimeNs kSameExposureNs = 200'000;
   /// So many stamps in a row that repeat: the device's clock stands, and arrivals are all there is.
   static constexpr int kStandsStill = 3;
 
-  /// offsets: as the machine has them now. least_delay_ns: what lies between a stamp and its arrival even when nothing
-  /// is late (exposure and readout behind a stamp of the start).
-  void start(const ClockOffsets& offsets, rt::TimeNs least_delay_ns);
-  /// A buffer stamped stamp_ns was taken from the driver at arrival_ns.
-  Reading take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns);
+  /// Forgets everything.
+  void start() { *this = {}; }
+  /// A buffer stamped stamp_ns was taken from the driver at arrival_ns. offsets: as the machine has them now.
+  /// least_delay_ns: what lies now between a stamp and its arrival even when nothing is late (exposure and readout
+  /// behind a stamp of the start).
+  Reading take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, const ClockOffsets& offsets, rt::TimeNs least_delay_ns);
 
   Source source() const { return source_; }
   /// What is added to stamps now.
@@ -54,20 +63,34 @@ class DeviceClock {
   static const char* name(Source source);
 
  private:
-  void decide(rt::TimeNs delay_ns);
-  void follow(rt::TimeNs delay_ns, rt::TimeNs arrival_ns);
+  bool known() const;
+  /// The machine's word on the clock that was decided on.
+  rt::TimeNs known_offset(const ClockOffsets& offsets) const;
+  void decide(rt::TimeNs delay_ns, const ClockOffsets& offsets, rt::TimeNs least_delay_ns);
+  void measure(rt::TimeNs delay_ns, rt::TimeNs arrival_ns, rt::TimeNs least_delay_ns);
+  void close_window();
+  bool look_whether_late(rt::TimeNs delay_ns, rt::TimeNs arrival_ns);
 
-  ClockOffsets offsets_;
-  rt::TimeNs least_delay_ns_ = 0;
   Source source_ = Source::kUnknown;
   rt::TimeNs offset_ns_ = 0;
+  int counter_sign_ = 1;
   bool any_ = false;
   rt::TimeNs last_stamp_ns_ = 0, last_delay_ns_ = 0;
   int repeats_ = 0;
-  rt::TimeNs window_end_ns_ = 0, window_least_ns_ = 0;  ///< least delay of the running second
+
+  // The running second.
   bool window_any_ = false;
-  rt::TimeNs first_least_ns_ = 0;  ///< known offset: least delay of the first second, which a drift moves
-  bool first_known_ = false;
+  rt::TimeNs window_end_ns_ = 0, window_least_ns_ = 0;
+  bool told_late_ = false;
+  // Of a clock of its own alone.
+  bool settling_ = true;  ///< its first second: late first pictures are corrected at once
+  rt::TimeNs exposure_seen_ns_ = 0;
+  bool exposure_moved_ = false;         ///< in the running second
+  bool exposure_moved_before_ = false;  ///< in the one before
+  struct {
+    bool good = false;
+    rt::TimeNs least_ns = 0;
+  } pending_;  ///< the second before: it counts if the exposure changed neither in it nor in those next to it
 };
 
 }  // namespace godwit::hal

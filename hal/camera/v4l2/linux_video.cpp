@@ -24,6 +24,16 @@ std::string first_line(const fs::path& file) {
   return line;
 }
 
+/// Everything in a folder; one that is not there, or that goes while it is read, has no more. An iterator's ++ would
+/// throw there.
+template <typename Use>
+void each_entry(const fs::path& folder, Use use) {
+  std::error_code failed;
+  for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
+    use(entry->path());
+  }
+}
+
 rt::TimeNs clock_ns(clockid_t id) {
   timespec t{};
   clock_gettime(id, &t);
@@ -75,8 +85,7 @@ class LinuxVideo final : public VideoSystem {
 
   ClockOffsets clock_offsets() override {
     ClockOffsets out;
-    out.boottime_ns = offset_of(CLOCK_BOOTTIME);
-    out.realtime_ns = offset_of(CLOCK_REALTIME);
+    read_clocks(&out);
     const std::string text = first_line(fs::path(sys_) / "devices/system/clocksource/clocksource0/offset_ns");
     char* end = nullptr;
     const long long counter = std::strtoll(text.c_str(), &end, 10);
@@ -84,25 +93,32 @@ class LinuxVideo final : public VideoSystem {
     return out;
   }
 
+  void read_clocks(ClockOffsets* offsets) override {
+    offsets->boottime_ns = offset_of(CLOCK_BOOTTIME);
+    offsets->realtime_ns = offset_of(CLOCK_REALTIME);
+  }
+
   std::vector<VideoNode> nodes() override {
     std::vector<VideoNode> out;
-    std::error_code ignored;
-    for (const auto& entry : fs::directory_iterator(fs::path(sys_) / "class/video4linux", ignored)) {
-      const std::string name = entry.path().filename();
-      if (name.compare(0, 5, "video") != 0) continue;
+    each_entry(fs::path(sys_) / "class/video4linux", [&](const fs::path& entry) {
+      const std::string name = entry.filename();
+      if (name.compare(0, 5, "video") != 0) return;
       VideoNode node;
       node.path = fs::path(dev_) / name;
       // The device below is a USB interface; the serial number is its parent's.
-      const fs::path device = fs::canonical(entry.path() / "device", ignored);
-      node.serial = first_line(device / "serial");
-      if (node.serial.empty()) node.serial = first_line(device.parent_path() / "serial");
+      std::error_code none;
+      const fs::path device = fs::canonical(entry / "device", none);
+      if (!none) {
+        node.serial = first_line(device / "serial");
+        if (node.serial.empty()) node.serial = first_line(device.parent_path() / "serial");
+      }
       for (const char* folder : {"v4l/by-id", "v4l/by-path"}) {
-        for (const auto& link : fs::directory_iterator(fs::path(dev_) / folder, ignored)) {
-          if (fs::read_symlink(link.path(), ignored).filename() == name) node.names.push_back(link.path().filename());
-        }
+        each_entry(fs::path(dev_) / folder, [&](const fs::path& link) {
+          if (fs::read_symlink(link, none).filename() == name) node.names.push_back(link.filename());
+        });
       }
       out.push_back(std::move(node));
-    }
+    });
     // video2 before video10.
     std::sort(out.begin(), out.end(), [](const VideoNode& a, const VideoNode& b) {
       return a.path.size() != b.path.size() ? a.path.size() < b.path.size() : a.path < b.path;

@@ -6,6 +6,8 @@
 #include <cstring>
 #include <linux/videodev2.h>
 
+#include "hal/camera/v4l2/yuv_rows.h"
+
 namespace godwit::hal {
 namespace {
 
@@ -52,25 +54,10 @@ void grey_of_16_bits(const RawPicture& raw, const rt::MutableImageView& grey) {
   }
 }
 
-/// BT.601, limited range, in 1/256: y is the luma, u and v the chroma.
-void bgr_of_yuv(int y, int u, int v, std::uint8_t* to) {
-  const int c = 298 * std::max(0, y - 16) + 128, d = u - 128, e = v - 128;
-  to[0] = byte_of((c + 516 * d) >> 8);
-  to[1] = byte_of((c - 100 * d - 208 * e) >> 8);
-  to[2] = byte_of((c + 409 * e) >> 8);
-}
-
 void convert_yuyv(const RawPicture& raw, const rt::MutableImageView& grey, std::uint8_t* bgr) {
   for (int y = 0; y < grey.height; ++y) {
-    const std::uint8_t* const from = raw.data + static_cast<std::ptrdiff_t>(y) * raw.stride;
-    std::uint8_t* const to = grey.row(y);
-    for (int x = 0; x < grey.width; ++x) to[x] = from[2 * x];
-    if (bgr == nullptr) continue;
-    std::uint8_t* const colour = bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3;
-    for (int x = 0; x < grey.width; ++x) {
-      const std::uint8_t* const pair = from + 4 * static_cast<std::ptrdiff_t>(x / 2);
-      bgr_of_yuv(from[2 * x], pair[1], pair[3], colour + 3 * static_cast<std::ptrdiff_t>(x));
-    }
+    yuyv_row(raw.data + static_cast<std::ptrdiff_t>(y) * raw.stride, grey.width, grey.row(y),
+             bgr == nullptr ? nullptr : bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3);
   }
 }
 
@@ -80,11 +67,8 @@ void convert_nv12(const RawPicture& raw, const rt::MutableImageView& grey, std::
     const std::uint8_t* const from = raw.data + static_cast<std::ptrdiff_t>(y) * raw.stride;
     std::memcpy(grey.row(y), from, static_cast<std::size_t>(grey.width));
     if (bgr == nullptr) continue;
-    const std::uint8_t* const uv = chroma + static_cast<std::ptrdiff_t>(y / 2) * raw.stride;
-    std::uint8_t* const colour = bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3;
-    for (int x = 0; x < grey.width; ++x) {
-      bgr_of_yuv(from[x], uv[x / 2 * 2], uv[x / 2 * 2 + 1], colour + 3 * static_cast<std::ptrdiff_t>(x));
-    }
+    nv12_row(from, chroma + static_cast<std::ptrdiff_t>(y / 2) * raw.stride, grey.width,
+             bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3);
   }
 }
 

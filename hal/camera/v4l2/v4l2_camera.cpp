@@ -47,16 +47,17 @@ bool V4l2Camera::try_open() {
   if (trouble != trouble_ && tell_) tell_(trouble);
   trouble_ = std::move(trouble);
   if (!opened) return false;
-  live_ = std::make_unique<Opened>();
-  live_->stream = std::move(opened).value();
-  live_->offsets = system_->clock_offsets();
-  const V4l2Stream& s = *live_->stream;
+  live_ = std::move(opened).value();
+  const V4l2Stream& s = *live_;
   // Whether the thread of next() may be real-time was decided by the first format.
   settings_.format = s.format();
-  for (const std::string& note : s.notes()) {
-    if (tell_) tell_(note);
+  for (const auto& notes : {s.notes(), exposure_.begin(&s.controls(), settings_.width)}) {
+    for (const std::string& note : notes) {
+      if (tell_) tell_(note);
+    }
   }
-  exposure_ns_.store(s.exposure_ns().value_or(settings_.exposure_ns), std::memory_order_relaxed);
+  exposure_ns_.store(exposure_.exposure_ns().value_or(settings_.exposure_ns), std::memory_order_relaxed);
+  clocks_.write(system_->clock_offsets());
   format_.store(static_cast<int>(s.format()), std::memory_order_relaxed);
   wanted_ = false;
   fresh_.store(live_.get(), std::memory_order_release);
@@ -64,20 +65,33 @@ bool V4l2Camera::try_open() {
   return true;
 }
 
+void V4l2Camera::ask() {
+  // A device that sets its exposure itself is asked what it chose.
+  if (const auto exposure = exposure_.exposure_ns()) exposure_ns_.store(*exposure, std::memory_order_relaxed);
+  // Clocks drift, and somebody may set them.
+  clocks_.write(system_->clock_offsets());
+}
+
 void V4l2Camera::keep() {
+  rt::TimeNs due_ns = 0;
   while (!stop_.load(std::memory_order_relaxed)) {
     keeper_wake_.wait_for(kRetryNs);
     if (dead_.exchange(nullptr, std::memory_order_acquire) != nullptr) {
+      exposure_.end();
       live_.reset();
       wanted_ = true;
+      due_ns = 0;
     }
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    if (live_ != nullptr && exposure_.steer(now_ns)) {
+      exposure_ns_.store(exposure_.current().exposure_ns, std::memory_order_relaxed);
+    }
+    if (now_ns < due_ns) continue;
+    due_ns = now_ns + kRetryNs;
     if (wanted_) {
       try_open();
-    } else if (live_ != nullptr) {
-      // A device that sets its exposure itself is asked what it chose.
-      if (const auto exposure = live_->stream->exposure_ns()) {
-        exposure_ns_.store(*exposure, std::memory_order_relaxed);
-      }
+    } else {
+      ask();
     }
   }
 }
@@ -87,14 +101,14 @@ void V4l2Camera::say(rt::LogLevel level, const char* what, const char* which, co
 }
 
 bool V4l2Camera::adopt(rt::TimeNs timeout_ns) {
-  Opened* fresh = fresh_.exchange(nullptr, std::memory_order_acquire);
+  V4l2Stream* fresh = fresh_.exchange(nullptr, std::memory_order_acquire);
   if (fresh == nullptr) {
     caller_wake_.wait_for(timeout_ns);
     fresh = fresh_.exchange(nullptr, std::memory_order_acquire);
   }
   if (fresh == nullptr) return false;
   stream_ = fresh;
-  clock_started_ = false;
+  clock_.start();
   any_sequence_ = false;
   heard_ns_ = system_->now_ns();
   if (ever_) {
@@ -114,10 +128,14 @@ void V4l2Camera::lose(const char* why) {
 
 CameraStatus V4l2Camera::next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                               CapturedFrame* frame, std::string* why) {
-  if (stream_ == nullptr && !adopt(timeout_ns)) return CameraStatus::kTimeout;
+  if (stream_ == nullptr) {
+    const rt::TimeNs began_ns = rt::monotonic_now_ns();
+    if (!adopt(timeout_ns)) return CameraStatus::kTimeout;
+    timeout_ns -= rt::monotonic_now_ns() - began_ns;
+  }
   V4l2Stream::Buffer b;
-  V4l2Stream* const stream = stream_->stream.get();
-  const V4l2Stream::Take take = stream->take(timeout_ns, &b);
+  V4l2Stream* const stream = stream_;
+  const V4l2Stream::Take take = stream->take(std::max<rt::TimeNs>(timeout_ns, 0), &b);
   if (take == V4l2Stream::Take::kNothing) {
     if (system_->now_ns() - heard_ns_ > settings_.stall_ns) {
       ++counters_.stalls;
@@ -167,9 +185,17 @@ bool V4l2Camera::stamped_at_start(const V4l2Stream::Buffer& b) const {
 const char* V4l2Camera::read_clock(const V4l2Stream::Buffer& b, rt::TimeNs* t_ns) {
   const bool at_start = stamped_at_start(b);
   const rt::TimeNs exposure = exposure_ns_.load(std::memory_order_relaxed);
-  if (!clock_started_) clock_.start(stream_->offsets, at_start ? exposure + settings_.readout_ns : 0);
-  clock_started_ = true;
-  const DeviceClock::Reading r = clock_.take(b.stamp_ns, heard_ns_);
+  clocks_.read(&offsets_);
+  const DeviceClock::Source source = clock_.source();
+  if (source == DeviceClock::Source::kBoottime || source == DeviceClock::Source::kRealtime) {
+    system_->read_clocks(&offsets_);
+  }
+  const DeviceClock::Reading r =
+      clock_.take(b.stamp_ns, heard_ns_, offsets_, at_start ? exposure + settings_.readout_ns : 0);
+  if (r.late) {
+    say(rt::LogLevel::kWarning, "camera clock: no picture comes soon after its time by",
+        DeviceClock::name(clock_.source()), "soonest [s]", rt::to_seconds(r.off_ns));
+  }
   if (r.source_changed && clock_.source() != DeviceClock::Source::kMonotonic) {
     say(rt::LogLevel::kWarning, "camera clock is not CLOCK_MONOTONIC but", DeviceClock::name(clock_.source()),
         "offset [s]", rt::to_seconds(clock_.offset_ns()));
@@ -191,7 +217,7 @@ const char* V4l2Camera::read_clock(const V4l2Stream::Buffer& b, rt::TimeNs* t_ns
 }
 
 const char* V4l2Camera::unpack(const V4l2Stream::Buffer& b, const rt::MutableImageView& grey, std::uint8_t* bgr) {
-  const V4l2Stream& s = *stream_->stream;
+  const V4l2Stream& s = *stream_;
   if (b.bytes > b.capacity) return "camera: the device says it wrote more than the buffer holds";
   if (s.format() == PixelFormat::kMjpeg) return jpeg_.decode(b.data, b.bytes, grey, bgr);
   if (b.bytes < picture_bytes(s.format(), settings_.width, settings_.height, s.stride())) {
@@ -215,6 +241,7 @@ CameraStatus V4l2Camera::deliver(const V4l2Stream::Buffer& b, const rt::MutableI
   } else {
     wrong = unpack(b, grey, bgr);
     if (wrong != nullptr) ++counters_.damaged;
+    if (wrong == nullptr && exposure_.saw(grey)) keeper_wake_.post();
   }
   if (wrong != nullptr) {
     if (why != nullptr) why->assign(wrong);

@@ -8,10 +8,12 @@
 
 #include "hal/camera/camera.h"
 #include "hal/camera/v4l2/device_clock.h"
+#include "hal/camera/v4l2/exposure_keeper.h"
 #include "hal/camera/v4l2/jpeg_decoder.h"
 #include "hal/camera/v4l2/v4l2_stream.h"
 #include "hal/rt/log_ring.h"
 #include "hal/rt/thread.h"
+#include "hal/rt/triple_buffer.h"
 #include "hal/rt/wake_up.h"
 
 namespace godwit::hal {
@@ -34,8 +36,8 @@ rt::TimeNs middle_of_exposure(rt::TimeNs stamp_ns, bool at_start, rt::TimeNs exp
                               bool rolling);
 
 /// Two threads: next() belongs to the caller and, but for MJPEG, neither allocates nor locks. Opening, closing, setting
-/// controls and asking for them is the work of a thread of its own, which may block: a device that is gone is looked
-/// for five times a second.
+/// controls (the exposure's, too), reading clocks and asking for what is set is the work of a thread of its own, which
+/// may block: a device that is gone is looked for five times a second.
 class V4l2Camera final : public Camera {
  public:
   /// Hears what went wrong with the device, in words, when it changes; "": all is well again. Called by the camera's
@@ -55,22 +57,22 @@ class V4l2Camera final : public Camera {
   CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns, CapturedFrame* frame,
                     std::string* why) override;
   rt::LogRing* events() override { return &events_; }
+  void turning(double rate_rad_s) override { exposure_.turning(rate_rad_s); }
 
+  /// Pictures that the automatic exposure has looked at. Any thread.
+  std::uint64_t steered() const { return exposure_.steered(); }
   /// The thread of next() only.
   const V4l2Counters& counters() const { return counters_; }
   const DeviceClock& clock() const { return clock_; }
   bool streaming() const { return stream_ != nullptr; }
 
  private:
-  /// What the keeper hands over.
-  struct Opened {
-    std::unique_ptr<V4l2Stream> stream;
-    ClockOffsets offsets;
-  };
   static constexpr rt::TimeNs kRetryNs = 200 * rt::kNsPerMs;
 
   V4l2Camera(std::unique_ptr<VideoSystem> system, const V4l2Settings& settings, Tell tell)
-      : system_(std::move(system)), settings_(settings), tell_(std::move(tell)) {}
+      : system_(std::move(system)), settings_(settings), tell_(std::move(tell)), exposure_(settings.exposure) {
+    if (settings.format) format_.store(static_cast<int>(*settings.format), std::memory_order_relaxed);
+  }
 
   // The caller's thread.
   bool adopt(rt::TimeNs timeout_ns);
@@ -87,15 +89,16 @@ class V4l2Camera final : public Camera {
   // The keeper's.
   void keep();
   bool try_open();
+  void ask();
 
   std::unique_ptr<VideoSystem> system_;
   V4l2Settings settings_;  ///< after open() only the keeper's, but for what never changes
   const Tell tell_;
 
-  Opened* stream_ = nullptr;  ///< the caller's; the keeper opened it and will close it
-  bool ever_ = false;         ///< one was adopted before
+  V4l2Stream* stream_ = nullptr;  ///< the caller's; the keeper opened it and will close it
+  bool ever_ = false;             ///< one was adopted before
   DeviceClock clock_;
-  bool clock_started_ = false;
+  ClockOffsets offsets_;  ///< the caller's
   JpegDecoder jpeg_;
   V4l2Counters counters_;
   rt::TimeNs heard_ns_ = 0;  ///< of the newest buffer, or of the adoption
@@ -106,18 +109,22 @@ class V4l2Camera final : public Camera {
   rt::LogRing events_;
 
   /// Keeper to caller: an open stream. Release and acquire: what open() wrote must be seen before the pointer.
-  std::atomic<Opened*> fresh_{nullptr};
+  std::atomic<V4l2Stream*> fresh_{nullptr};
   /// Caller to keeper: one that is at its end. Release and acquire: the caller's last use comes before the closing.
-  std::atomic<Opened*> dead_{nullptr};
+  std::atomic<V4l2Stream*> dead_{nullptr};
+  /// Keeper to caller: the machine's clocks as they were last read.
+  rt::TripleBuffer<ClockOffsets> clocks_;
+  ExposureKeeper exposure_;  ///< saw() is the caller's, the rest the keeper's
   /// A number alone: 0 says that the device does not tell.
   std::atomic<rt::TimeNs> exposure_ns_{0};
-  std::atomic<int> format_{-1};  ///< of the newest stream; -1: none was open yet. A number alone.
+  /// Of the newest stream, or that which is wanted; -1: none was open yet, and any will do. A number alone.
+  std::atomic<int> format_{-1};
   std::atomic<bool> stop_{false};
   rt::WakeUp keeper_wake_, caller_wake_;
   rt::Thread keeper_;
-  std::unique_ptr<Opened> live_;  ///< the keeper's: what it opened last
-  bool wanted_ = true;            ///< the keeper's: a stream is to be opened
-  std::string trouble_;           ///< the keeper's: told last
+  std::unique_ptr<V4l2Stream> live_;  ///< the keeper's: what it opened last
+  bool wanted_ = true;                ///< the keeper's: a stream is to be opened
+  std::string trouble_;               ///< the keeper's: told last
 };
 
 }  // namespace godwit::hal

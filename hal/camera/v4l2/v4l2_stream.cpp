@@ -26,22 +26,6 @@ std::string code_text(std::uint32_t code) {
   return out;
 }
 
-/// As v4l2-ctl names controls: "Exposure, Auto" -> "exposure_auto".
-std::string plain_name(const char* text) {
-  std::string out;
-  bool gap = false;
-  for (const char* c = text; *c != '\0'; ++c) {
-    if (std::isalnum(static_cast<unsigned char>(*c)) == 0) {
-      gap = !out.empty();
-      continue;
-    }
-    if (gap) out += '_';
-    gap = false;
-    out += static_cast<char>(std::tolower(static_cast<unsigned char>(*c)));
-  }
-  return out;
-}
-
 }  // namespace
 
 rt::Error V4l2Stream::error(const char* what) const {
@@ -147,63 +131,6 @@ void V4l2Stream::set_rate(double fps) {
   }
 }
 
-bool V4l2Stream::query(std::uint32_t id, V4l2Range* range) const {
-  v4l2_queryctrl q{};
-  q.id = id;
-  if (!call(VIDIOC_QUERYCTRL, &q) || (q.flags & V4L2_CTRL_FLAG_DISABLED) != 0) return false;
-  v4l2_control c{id, 0};
-  call(VIDIOC_G_CTRL, &c);
-  *range = {id, q.minimum, q.maximum, std::max(1, q.step), c.value};
-  return true;
-}
-
-bool V4l2Stream::set_control(std::uint32_t id, std::int64_t value) {
-  v4l2_queryctrl q{};
-  q.id = id;
-  if (call(VIDIOC_QUERYCTRL, &q) && q.type == V4L2_CTRL_TYPE_INTEGER64) {
-    // Tegra's exposure and gain; VIDIOC_S_CTRL refuses such.
-    v4l2_ext_control one{};
-    one.id = id;
-    one.value64 = value;
-    v4l2_ext_controls all{};
-    all.which = V4L2_CTRL_WHICH_CUR_VAL;
-    all.count = 1;
-    all.controls = &one;
-    return call(VIDIOC_S_EXT_CTRLS, &all);
-  }
-  v4l2_control c{id, static_cast<std::int32_t>(value)};
-  if (c.value != value) return errno = ERANGE, false;
-  return call(VIDIOC_S_CTRL, &c);
-}
-
-rt::Result<void> V4l2Stream::set_controls(const V4l2Settings& settings) {
-  std::string known;
-  for (const auto& [wanted, value] : settings.controls) {
-    char* end = nullptr;
-    auto id = static_cast<std::uint32_t>(std::strtoul(wanted.c_str(), &end, 0));
-    if (end == wanted.c_str() || *end != '\0') {
-      id = 0;
-      known.clear();
-      v4l2_queryctrl q{};
-      q.id = V4L2_CTRL_FLAG_NEXT_CTRL;
-      for (int i = 0; i < 1024 && id == 0 && call(VIDIOC_QUERYCTRL, &q); ++i) {
-        q.name[sizeof q.name - 1] = 0;
-        const std::string name = plain_name(reinterpret_cast<const char*>(q.name));
-        if (name == wanted) id = q.id;
-        if (!known.empty()) known += ", ";
-        known += name;
-        q.id |= V4L2_CTRL_FLAG_NEXT_CTRL;
-      }
-    }
-    if (id == 0)
-      return rt::Error{path_ + ": has no control " + wanted + "; it has " + (known.empty() ? "none" : known)};
-    if (!set_control(id, value)) return error(("control " + wanted + " = " + std::to_string(value)).c_str());
-  }
-  if (!query(V4L2_CID_EXPOSURE_ABSOLUTE, &exposure_)) exposure_in_lines_ = query(V4L2_CID_EXPOSURE, &exposure_);
-  if (!query(V4L2_CID_ANALOGUE_GAIN, &gain_)) query(V4L2_CID_GAIN, &gain_);
-  return {};
-}
-
 rt::Result<void> V4l2Stream::map_buffers() {
   v4l2_requestbuffers r{};
   r.count = kBuffers;
@@ -237,7 +164,8 @@ rt::Result<std::unique_ptr<V4l2Stream>> V4l2Stream::open(VideoSystem* system, co
   if (auto r = out->check_device(); !r) return r.error();
   if (auto r = out->choose_format(settings); !r) return r.error();
   out->set_rate(settings.fps);
-  if (auto r = out->set_controls(settings); !r) return r.error();
+  out->controls_.emplace(system, out->fd_, choice.path);
+  if (auto r = out->controls_->set_all(settings.controls); !r) return r.error();
   if (auto r = out->map_buffers(); !r) return r.error();
   const std::size_t need = picture_bytes(out->format_, settings.width, settings.height, out->stride_);
   for (std::uint32_t i = 0; i < out->count_; ++i) {
@@ -286,18 +214,6 @@ bool V4l2Stream::give_back(std::uint32_t index) {
   b.type = kCapture;
   b.memory = V4L2_MEMORY_MMAP;
   return call(VIDIOC_QBUF, &b);
-}
-
-std::optional<rt::TimeNs> V4l2Stream::exposure_ns() const {
-  if (exposure_.id == 0 || exposure_in_lines_) return std::nullopt;
-  v4l2_control c{exposure_.id, 0};
-  if (!call(VIDIOC_G_CTRL, &c) || c.value <= 0) return std::nullopt;
-  return static_cast<rt::TimeNs>(c.value) * 100'000;
-}
-
-bool V4l2Stream::set(const V4l2Range& control, std::int64_t value) {
-  v4l2_control c{control.id, static_cast<std::int32_t>(std::clamp(value, control.low, control.high))};
-  return call(VIDIOC_S_CTRL, &c);
 }
 
 }  // namespace godwit::hal

@@ -9,7 +9,9 @@
 #include <utility>
 #include <vector>
 
+#include "hal/camera/v4l2/exposure_device.h"
 #include "hal/camera/v4l2/pixel_format.h"
+#include "hal/camera/v4l2/v4l2_controls.h"
 #include "hal/camera/v4l2/video_system.h"
 #include "hal/rt/result.h"
 
@@ -30,16 +32,11 @@ struct V4l2Settings {
   /// ("exposure_auto", "trigger_mode"), or by number ("0x009a0901").
   std::vector<std::pair<std::string, std::int64_t>> controls;
   StampAt stamp_at = StampAt::kAsFlagged;
-  rt::TimeNs exposure_ns = 0;              ///< where the device does not say (V4L2_CID_EXPOSURE_ABSOLUTE)
+  rt::TimeNs exposure_ns = 0;              ///< where the device does not say
+  ExposurePlan exposure;                   ///< who sets it
   rt::TimeNs readout_ns = 0;               ///< first to last row
   bool rolling = false;                    ///< rolling shutter: rows are exposed one after the other
   rt::TimeNs stall_ns = rt::kNsPerSecond;  ///< a stream that gives nothing for longer is started anew
-};
-
-/// A control of the sensor that the automatic exposure steers.
-struct V4l2Range {
-  std::uint32_t id = 0;  ///< 0: the device has none
-  std::int64_t low = 0, high = 0, step = 1, value = 0;
 };
 
 /// Opened, streaming, with kBuffers buffers in the driver's hands. Blocks and allocates in open() and the destructor
@@ -78,13 +75,8 @@ class V4l2Stream {
   PixelFormat format() const { return format_; }
   int stride() const { return stride_; }
   double fps() const { return fps_; }  ///< the device's word; 0: it says nothing
-  /// Now set [ns]; nothing: the device does not say. Asks the driver: may block.
-  std::optional<rt::TimeNs> exposure_ns() const;
-  const V4l2Range& exposure() const { return exposure_; }  ///< [100 us] or [lines]
-  bool exposure_in_lines() const { return exposure_in_lines_; }
-  const V4l2Range& gain() const { return gain_; }
-  /// May block.
-  bool set(const V4l2Range& control, std::int64_t value);
+  /// Of the open device; asking and setting may block.
+  const V4l2Controls& controls() const { return *controls_; }
   /// What is odd but no reason not to fly, in words.
   const std::vector<std::string>& notes() const { return notes_; }
   const std::string& path() const { return path_; }
@@ -96,10 +88,7 @@ class V4l2Stream {
   rt::Result<void> check_device();
   rt::Result<void> choose_format(const V4l2Settings& settings);
   void set_rate(double fps);
-  bool set_control(std::uint32_t id, std::int64_t value);
-  rt::Result<void> set_controls(const V4l2Settings& settings);
   rt::Result<void> map_buffers();
-  bool query(std::uint32_t id, V4l2Range* range) const;
 
   struct Mapping {
     void* memory = nullptr;
@@ -115,8 +104,7 @@ class V4l2Stream {
   double fps_ = 0;
   std::array<Mapping, kBuffers> buffers_{};
   std::uint32_t count_ = 0;
-  V4l2Range exposure_, gain_;
-  bool exposure_in_lines_ = false;
+  std::optional<V4l2Controls> controls_;
   std::vector<std::string> notes_;
 };
 

@@ -44,8 +44,10 @@ class VideoSystem {
   virtual Wait wait_readable(int descriptor, rt::TimeNs timeout_ns) = 0;
   /// CLOCK_MONOTONIC. No allocation.
   virtual rt::TimeNs now_ns() = 0;
-  /// Blocks.
+  /// All of them. Reads a file: blocks.
   virtual ClockOffsets clock_offsets() = 0;
+  /// BOOTTIME and REALTIME alone. No allocation, no file; does not block.
+  virtual void read_clocks(ClockOffsets* offsets) = 0;
   /// Every video device there is now. Blocks.
   virtual std::vector<VideoNode> nodes() = 0;
 };

@@ -10,6 +10,7 @@ namespace {
 constexpr rt::TimeNs kFutureNs = 5 * rt::kNsPerMs;
 /// A driver's buffer does not hold longer than this.
 constexpr rt::TimeNs kOldNs = rt::kNsPerSecond;
+constexpr rt::TimeNs kFirstOpeningNs = 2 * rt::kNsPerSecond;
 }  // namespace
 
 std::unique_ptr<IioImu> IioImu::open(std::unique_ptr<IioPort> gyro, std::unique_ptr<IioPort> accel,
@@ -17,21 +18,32 @@ std::unique_ptr<IioImu> IioImu::open(std::unique_ptr<IioPort> gyro, std::unique_
   std::unique_ptr<IioImu> out(new IioImu(settings));
   out->lines_[0].port = std::move(gyro);
   out->lines_[1].port = std::move(accel);
-  out->trouble_ = out->set_up();
-  out->running_ = out->trouble_.empty();
-  if (!out->running_) out->fail("it cannot be opened");
+  const rt::TimeNs give_up_ns = out->lines_[0].port->now_ns() + kFirstOpeningNs;
+  while (!out->running_ && out->trouble().empty() && out->lines_[0].port->now_ns() < give_up_ns) {
+    out->come_up(give_up_ns);
+  }
   return out;
 }
 
-std::string IioImu::set_up() {
+std::string IioImu::trouble() const {
+  if (running_) return "";
+  if (trouble_ != nullptr) return trouble_;
+  for (const Line& line : lines_) {
+    if (line.port == nullptr) continue;
+    std::string error = line.port->error();
+    if (!error.empty()) return error;
+  }
+  return "";
+}
+
+const char* IioImu::start() {
   for (Line& line : lines_) {
     if (line.port == nullptr) continue;
-    auto opened = line.port->open(&line == &lines_[0] ? settings_.device : settings_.accel_device, settings_.rate_hz);
-    if (!opened) return opened.error().message;
-    line.is = opened.value();
+    line.is = line.port->description();
     line.count = line.next = 0;
     line.heard_ns = line.port->now_ns();
     line.last_ns = 0;
+    line.offset_ns = line.port->clock_offset_ns();
     if (line.is.rate_hz > 0 && std::abs(line.is.rate_hz - settings_.rate_hz) > 0.05 * settings_.rate_hz) {
       events_.say({.t_ns = line.heard_ns,
                    .level = rt::LogLevel::kWarning,
@@ -41,26 +53,65 @@ std::string IioImu::set_up() {
                    .limit = settings_.rate_hz});
     }
   }
-  if (!lines_[0].is.has_gyro) return "iio: " + settings_.device + " measures no rates";
+  if (!lines_[0].is.has_gyro) return "imu.device measures no rates";
   if (!accel_is().has_accel) {
-    return "iio: " + (two() ? settings_.accel_device : settings_.device) +
-           " measures no acceleration; imu.accel_device names the device that does";
+    return two() ? "imu.accel_device measures no acceleration"
+                 : "imu.device measures no acceleration; imu.accel_device names the device that does";
   }
   check_.reset();
   around_ = {};
   waiting_ = false;
-  return {};
+  return nullptr;
+}
+
+ImuStatus IioImu::come_up(rt::TimeNs give_up_ns) {
+  IioPort& port = *lines_[0].port;
+  if (!opening_) {
+    port.sleep_until(std::min(give_up_ns, retry_ns_));
+    if (port.now_ns() < retry_ns_) return ImuStatus::kTimeout;
+    for (Line& line : lines_) {
+      if (line.port != nullptr) line.port->begin_open();
+    }
+    opening_ = true;
+  }
+  while (true) {
+    bool busy = false, failed = false;
+    for (const Line& line : lines_) {
+      if (line.port == nullptr) continue;
+      const IioPort::State state = line.port->state();
+      busy = busy || state == IioPort::State::kBusy;
+      failed = failed || state == IioPort::State::kFailed;
+    }
+    if (!busy) {
+      opening_ = false;
+      if (failed) return fail(nullptr);
+      if (const char* const why = start()) return fail(why);
+      break;
+    }
+    if (port.now_ns() >= give_up_ns) return ImuStatus::kTimeout;
+    port.sleep_until(std::min(give_up_ns, port.now_ns() + kLookNs));
+  }
+  trouble_ = nullptr;
+  running_ = true;
+  if (gap_) {
+    ++counters_.restarts;
+    events_.say({.t_ns = port.now_ns(), .what = "IMU is back"});
+  }
+  return ImuStatus::kSample;
 }
 
 ImuStatus IioImu::fail(const char* why) {
-  if (running_ || retry_ns_ == 0) {
-    events_.say({.t_ns = lines_[0].port->now_ns(), .level = rt::LogLevel::kWarning, .what = "IMU fails", .which = why});
+  if (running_ || !gap_) {
+    events_.say({.t_ns = lines_[0].port->now_ns(),
+                 .level = rt::LogLevel::kWarning,
+                 .what = "IMU fails",
+                 .which = why != nullptr ? why : "it cannot be opened"});
   }
-  if (running_) trouble_ = why;
+  trouble_ = why;
   running_ = false;
   gap_ = true;
   for (Line& line : lines_) {
-    if (line.port != nullptr) line.port->close();
+    if (line.port != nullptr) line.port->begin_close();
   }
   retry_ns_ = lines_[0].port->now_ns() + kRetryNs;
   return ImuStatus::kFault;
@@ -79,9 +130,22 @@ ImuStatus IioImu::take(Line* line, rt::TimeNs give_up_ns, IioScan* scan) {
         return silent > kSilentNs ? fail("it is there, but takes no samples") : ImuStatus::kTimeout;
       }
       line->heard_ns = line->port->now_ns();
+      const rt::TimeNs offset = line->port->clock_offset_ns(), moved = offset - line->offset_ns;
+      line->offset_ns = offset;
+      if (std::abs(moved) > kFutureNs) {
+        // Somebody set the driver's clock; which of these were stamped before that, nobody knows.
+        events_.say({.t_ns = line->heard_ns,
+                     .level = rt::LogLevel::kWarning,
+                     .what = "IMU clock was set",
+                     .why = "by [s]",
+                     .value = rt::to_seconds(moved)});
+        ++counters_.wrong_time;
+        line->count = 0;
+        return ImuStatus::kFault;
+      }
     }
     *scan = line->scans[static_cast<std::size_t>(line->next++)];
-    scan->t_ns += line->is.clock_offset_ns;
+    scan->t_ns += line->offset_ns;
     if (scan->t_ns > line->heard_ns + kFutureNs || scan->t_ns < line->heard_ns - kOldNs) {
       if (counters_.wrong_time++ == 0) {
         events_.say({.t_ns = now,
@@ -121,17 +185,8 @@ ImuStatus IioImu::next(ImuSample* sample, rt::TimeNs timeout_ns) {
   IioPort& port = *lines_[0].port;
   const rt::TimeNs give_up = port.now_ns() + timeout_ns;
   if (!running_) {
-    port.sleep_until(std::min(give_up, retry_ns_));
-    if (port.now_ns() < retry_ns_) return ImuStatus::kTimeout;
-    std::string trouble = set_up();
-    if (!trouble.empty()) {
-      trouble_ = std::move(trouble);
-      return fail("it cannot be opened");
-    }
-    trouble_.clear();
-    running_ = true;
-    ++counters_.restarts;
-    events_.say({.t_ns = port.now_ns(), .what = "IMU is back"});
+    const ImuStatus status = come_up(give_up);
+    if (status != ImuStatus::kSample) return status;
   }
   if (!waiting_) {
     const ImuStatus status = take(&lines_[0], give_up, &held_);

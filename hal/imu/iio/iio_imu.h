@@ -14,8 +14,6 @@
 namespace godwit::hal {
 
 struct IioSettings {
-  std::string device;        ///< that measures rates, and acceleration unless accel_device does
-  std::string accel_device;  ///< empty: the same; ICM-42688-P, BMI088 and D435i have two ("gyro_3d", "accel_3d")
   double rate_hz = 200;
   AxisMap axes;
 };
@@ -32,11 +30,12 @@ struct IioCounters {
 
 /// Times are the driver's, taken at the interrupt, on CLOCK_MONOTONIC. Where rates and acceleration come from two
 /// devices, acceleration is interpolated to the times of the rates. A device that is gone is looked for five times a
-/// second. One thread; next() neither allocates nor locks while the sensor runs (opening it anew does: there is nothing
-/// to be late for then).
+/// second, by the port's own thread. One thread; next() neither allocates nor locks.
 class IioImu final : public Imu {
  public:
-  /// ports: one, or two where accel_device is set. A device that is not there is no error: see trouble() and events().
+  /// gyro: the device that measures rates, and acceleration unless accel does (ICM-42688-P, BMI088 and D435i have two:
+  /// "gyro_3d", "accel_3d"); accel may be null. Waits for them to open, at most two seconds. A device that is not
+  /// there is no error: see trouble() and events().
   static std::unique_ptr<IioImu> open(std::unique_ptr<IioPort> gyro, std::unique_ptr<IioPort> accel,
                                       const IioSettings& settings);
 
@@ -46,12 +45,13 @@ class IioImu final : public Imu {
   rt::LogRing* events() override { return &events_; }
 
   const IioCounters& counters() const { return counters_; }
-  /// What keeps it from running, in words; empty: it runs. The thread of next().
-  const std::string& trouble() const { return trouble_; }
+  /// What keeps it from running, in words; empty: it runs. The thread of next(); allocates.
+  std::string trouble() const;
 
  private:
   static constexpr rt::TimeNs kRetryNs = 200 * rt::kNsPerMs;
   static constexpr rt::TimeNs kSilentNs = 500 * rt::kNsPerMs;
+  static constexpr rt::TimeNs kLookNs = 5 * rt::kNsPerMs;  ///< between two looks whether a port is open
   static constexpr int kBatch = 32;
 
   /// One device's readings that have not been used.
@@ -61,6 +61,7 @@ class IioImu final : public Imu {
     std::array<IioScan, kBatch> scans{};
     int count = 0, next = 0;
     rt::TimeNs heard_ns = 0, last_ns = 0;
+    rt::TimeNs offset_ns = 0;
   };
   struct Accel {
     rt::TimeNs t_ns = 0;
@@ -70,7 +71,10 @@ class IioImu final : public Imu {
   explicit IioImu(const IioSettings& settings) : settings_(settings) {}
   bool two() const { return lines_[1].port != nullptr; }
   const IioDescription& accel_is() const { return lines_[two() ? 1 : 0].is; }
-  std::string set_up();
+  /// Waits for the ports. kSample: they are open, and good.
+  ImuStatus come_up(rt::TimeNs give_up_ns);
+  /// What is wrong with what was opened, static text; null: nothing.
+  const char* start();
   ImuStatus fail(const char* why);
   /// Next reading in order of this device; kTimeout where there is none in time.
   ImuStatus take(Line* line, rt::TimeNs give_up_ns, IioScan* scan);
@@ -82,8 +86,9 @@ class IioImu final : public Imu {
   std::array<Line, 2> lines_;
   IioCounters counters_;
   rt::LogRing events_;
-  std::string trouble_;
+  const char* trouble_ = nullptr;  ///< static text; null: none, or error() of a port says it
   bool running_ = false;
+  bool opening_ = false;
   rt::TimeNs retry_ns_ = 0;
   ReadingCheck check_;
   std::array<Accel, 2> around_{};  ///< the two newest accelerations

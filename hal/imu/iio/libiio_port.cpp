@@ -1,12 +1,15 @@
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
 #include <ctime>
 #include <iio.h>
+#include <mutex>
 #include <poll.h>
 
 #include "hal/imu/iio/iio_port.h"
+#include "hal/rt/thread.h"
 #include "hal/rt/wake_up.h"
 
 namespace godwit::hal {
@@ -17,57 +20,32 @@ constexpr std::size_t kGather = 2;
 
 class LibiioPort final : public IioPort {
  public:
-  LibiioPort() = default;
-  ~LibiioPort() override { close(); }
+  LibiioPort(std::string device, double rate_hz, std::function<void(const std::string&)> tell)
+      : name_(std::move(device)), rate_hz_(rate_hz), tell_(std::move(tell)) {
+    // Without a thread it stays busy for ever; the reader waits in vain, and says so.
+    if (auto started = opener_.start("gw-iio", {}, [this] { work(); }); !started) note(started.error().message);
+  }
+  ~LibiioPort() override {
+    if (opener_.running()) {
+      order(Order::kEnd);
+      opener_.join();
+    }
+    close();
+  }
   LibiioPort(const LibiioPort&) = delete;
   LibiioPort& operator=(const LibiioPort&) = delete;
 
-  rt::Result<IioDescription> open(const std::string& device, double rate_hz) override {
-    close();
-    context_ = iio_create_local_context();
-    if (context_ == nullptr) return rt::Error{"iio: " + std::string(std::strerror(errno))};
-    device_ = iio_context_find_device(context_, device.c_str());
-    if (device_ == nullptr) return refuse("iio: no device " + device + "; " + listed());
-    IioDescription out;
-    static constexpr const char* kNames[6] = {"accel_x", "accel_y", "accel_z", "anglvel_x", "anglvel_y", "anglvel_z"};
-    for (std::size_t i = 0; i < 6; ++i) {
-      channel_[i] = iio_device_find_channel(device_, kNames[i], false);
-      if (channel_[i] == nullptr) continue;
-      iio_channel_enable(channel_[i]);
-      const iio_data_format* const format = iio_channel_get_data_format(channel_[i]);
-      // iio_channel_convert writes as many bytes as the format has.
-      if (format->length > 32) return refuse("iio: " + device + ": readings of more than 32 bits are not read here");
-      double scale = 0;
-      if (iio_channel_attr_read_double(channel_[i], "scale", &scale) != 0) {
-        return refuse("iio: " + device + ": channel " + kNames[i] + " has no scale");
-      }
-      (i < 3 ? out.has_accel : out.has_gyro) = true;
-      (i < 3 ? out.accel_scale : out.gyro_scale) = scale;
-      (i < 3 ? out.accel_bits : out.gyro_bits) = static_cast<int>(format->bits);
-    }
-    if (!out.has_accel && !out.has_gyro) return refuse("iio: " + device + " measures neither rate nor acceleration");
-    time_ = iio_device_find_channel(device_, "timestamp", false);
-    if (time_ == nullptr) return refuse("iio: " + device + " gives no times");
-    iio_channel_enable(time_);
-    // The default is CLOCK_REALTIME, which may be set at any moment.
-    if (iio_device_attr_write(device_, "current_timestamp_clock", "monotonic") < 0) out.clock_offset_ns = -realtime();
-    set_rate(rate_hz, &out);
-    buffer_ = iio_device_create_buffer(device_, kGather, false);
-    if (buffer_ == nullptr) {
-      return refuse("iio: " + device + ": its buffer cannot be switched on (no trigger?): " + std::strerror(errno));
-    }
-    iio_buffer_set_blocking_mode(buffer_, false);
-    return out;
+  void begin_open() override { order(Order::kOpen); }
+  void begin_close() override { order(Order::kClose); }
+  State state() override {
+    // Acquire, partner: the release store in work(). What the opener wrote is seen before kOpen.
+    const std::uint32_t done = done_.load(std::memory_order_acquire);
+    return done >> 2 == ordered_ ? static_cast<State>(done & 3) : State::kBusy;
   }
-
-  void close() override {
-    if (buffer_ != nullptr) iio_buffer_destroy(buffer_);
-    if (context_ != nullptr) iio_context_destroy(context_);
-    buffer_ = nullptr;
-    context_ = nullptr;
-    device_ = nullptr;
-    channel_ = {};
-    filled_ = next_ = nullptr;
+  const IioDescription& description() override { return description_; }
+  std::string error() override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return error_;
   }
 
   Read read(IioScan* scans, int capacity, rt::TimeNs timeout_ns, int* count) override {
@@ -100,10 +78,97 @@ class LibiioPort final : public IioPort {
     return *count > 0 ? Read::kScans : Read::kNothing;
   }
 
+  rt::TimeNs clock_offset_ns() override { return realtime_ ? -realtime() : 0; }
   rt::TimeNs now_ns() override { return rt::monotonic_now_ns(); }
   void sleep_until(rt::TimeNs t_ns) override { rt::sleep_until_ns(t_ns); }
 
  private:
+  enum class Order : std::uint8_t { kClose, kOpen, kEnd };
+
+  /// The reader's last use of the buffer comes before the opener's closing: release, partner: the acquire in work().
+  void order(Order what) {
+    ++ordered_;
+    order_.store(ordered_ << 2 | static_cast<std::uint32_t>(what), std::memory_order_release);
+    wake_.post();
+  }
+
+  /// The opener's. Told before error() says it: who has read that need not wait for the words.
+  void note(const std::string& error) {
+    if (error != error_ && tell_) tell_(error);  // nobody else writes error_
+    const std::lock_guard<std::mutex> lock(mutex_);
+    error_ = error;
+  }
+
+  void work() {
+    std::uint32_t seen = 0;
+    while (true) {
+      wake_.wait_for(rt::kNsPerSecond);
+      const std::uint32_t order = order_.load(std::memory_order_acquire);
+      if (order == seen) continue;
+      seen = order;
+      if (static_cast<Order>(order & 3) == Order::kEnd) return;
+      State reached = State::kClosed;
+      if (static_cast<Order>(order & 3) == Order::kOpen) {
+        const auto opened = open();
+        if (opened) description_ = opened.value();
+        note(opened ? std::string() : opened.error().message);
+        reached = opened ? State::kOpen : State::kFailed;
+      } else {
+        close();
+      }
+      // Of an order that is no longer the last one the result is not looked at.
+      done_.store((order & ~3U) | static_cast<std::uint32_t>(reached), std::memory_order_release);
+    }
+  }
+
+  rt::Result<IioDescription> open() {
+    close();
+    context_ = iio_create_local_context();
+    if (context_ == nullptr) return rt::Error{"iio: " + std::string(std::strerror(errno))};
+    device_ = iio_context_find_device(context_, name_.c_str());
+    if (device_ == nullptr) return refuse("iio: no device " + name_ + "; " + listed());
+    IioDescription out;
+    static constexpr const char* kNames[6] = {"accel_x", "accel_y", "accel_z", "anglvel_x", "anglvel_y", "anglvel_z"};
+    for (std::size_t i = 0; i < 6; ++i) {
+      channel_[i] = iio_device_find_channel(device_, kNames[i], false);
+      if (channel_[i] == nullptr) continue;
+      iio_channel_enable(channel_[i]);
+      const iio_data_format* const format = iio_channel_get_data_format(channel_[i]);
+      // iio_channel_convert writes as many bytes as the format has.
+      if (format->length > 32) return refuse("iio: " + name_ + ": readings of more than 32 bits are not read here");
+      double scale = 0;
+      if (iio_channel_attr_read_double(channel_[i], "scale", &scale) != 0) {
+        return refuse("iio: " + name_ + ": channel " + kNames[i] + " has no scale");
+      }
+      (i < 3 ? out.has_accel : out.has_gyro) = true;
+      (i < 3 ? out.accel_scale : out.gyro_scale) = scale;
+      (i < 3 ? out.accel_bits : out.gyro_bits) = static_cast<int>(format->bits);
+    }
+    if (!out.has_accel && !out.has_gyro) return refuse("iio: " + name_ + " measures neither rate nor acceleration");
+    time_ = iio_device_find_channel(device_, "timestamp", false);
+    if (time_ == nullptr) return refuse("iio: " + name_ + " gives no times");
+    iio_channel_enable(time_);
+    // The default is CLOCK_REALTIME, which may be set at any moment.
+    realtime_ = iio_device_attr_write(device_, "current_timestamp_clock", "monotonic") < 0;
+    set_rate(&out);
+    buffer_ = iio_device_create_buffer(device_, kGather, false);
+    if (buffer_ == nullptr) {
+      return refuse("iio: " + name_ + ": its buffer cannot be switched on (no trigger?): " + std::strerror(errno));
+    }
+    iio_buffer_set_blocking_mode(buffer_, false);
+    return out;
+  }
+
+  void close() {
+    if (buffer_ != nullptr) iio_buffer_destroy(buffer_);
+    if (context_ != nullptr) iio_context_destroy(context_);
+    buffer_ = nullptr;
+    context_ = nullptr;
+    device_ = nullptr;
+    channel_ = {};
+    filled_ = next_ = nullptr;
+  }
+
   rt::Error refuse(const std::string& message) {
     close();
     return rt::Error{message};
@@ -127,9 +192,9 @@ class LibiioPort final : public IioPort {
   }
 
   /// Drivers have it at the device or at each channel; one that has it nowhere has one rate.
-  void set_rate(double rate_hz, IioDescription* out) {
-    const std::string text = iio_rate_text(rate_hz);
-    if (rate_hz > 0 && iio_device_attr_write(device_, "sampling_frequency", text.c_str()) < 0) {
+  void set_rate(IioDescription* out) {
+    const std::string text = iio_rate_text(rate_hz_);
+    if (rate_hz_ > 0 && iio_device_attr_write(device_, "sampling_frequency", text.c_str()) < 0) {
       for (iio_channel* const c : channel_) {
         if (c != nullptr) iio_channel_attr_write(c, "sampling_frequency", text.c_str());
       }
@@ -138,7 +203,7 @@ class LibiioPort final : public IioPort {
     for (iio_channel* const c : channel_) {
       if (c != nullptr && iio_channel_attr_read_double(c, "sampling_frequency", &out->rate_hz) == 0) return;
     }
-    out->rate_hz = rate_hz;
+    out->rate_hz = rate_hz_;
   }
 
   static std::int32_t value(const iio_channel* channel, const char* place) {
@@ -159,10 +224,23 @@ class LibiioPort final : public IioPort {
     }
   }
 
+  const std::string name_;
+  const double rate_hz_;
+  const std::function<void(const std::string&)> tell_;
+  std::uint32_t ordered_ = 0;            ///< the reader's: how many orders it gave
+  std::atomic<std::uint32_t> order_{0};  ///< reader to opener: number and Order
+  std::atomic<std::uint32_t> done_{static_cast<std::uint32_t>(State::kClosed)};  ///< opener to reader: number and State
+  rt::WakeUp wake_;
+  std::mutex mutex_;
+  std::string error_;  ///< under mutex_
+  IioDescription description_;
+  rt::Thread opener_;
+  // The opener's while kBusy, the reader's while kOpen.
   iio_context* context_ = nullptr;
   iio_device* device_ = nullptr;
   iio_buffer* buffer_ = nullptr;
   iio_channel* time_ = nullptr;
+  bool realtime_ = false;  ///< the driver's clock is CLOCK_REALTIME and stays so
   std::array<iio_channel*, 6> channel_{};
   const char *next_ = nullptr, *filled_ = nullptr;
 };
@@ -178,8 +256,9 @@ std::string iio_rate_text(double rate_hz) {
   return out;
 }
 
-std::unique_ptr<IioPort> libiio_port() {
-  return std::make_unique<LibiioPort>();
+std::unique_ptr<IioPort> libiio_port(const std::string& device, double rate_hz,
+                                     std::function<void(const std::string&)> tell) {
+  return std::make_unique<LibiioPort>(device, rate_hz, std::move(tell));
 }
 
 }  // namespace godwit::hal

@@ -22,6 +22,8 @@ constexpr std::size_t kMostBytes = 1 + 16 * kSampleBytes;
 constexpr std::uint32_t kSpeedHz = 1'000'000;
 constexpr double kGravity = 9.80665;
 constexpr rt::TimeNs kResetNs = 100 * rt::kNsPerMs;
+constexpr const char* kBusFails = "the bus fails";
+constexpr const char* kTestBusFails = "the bus fails in the self-test";
 
 /// The low-pass filter (register CONFIG) and the mean of its delays for gyro and accelerometer.
 struct Filter {
@@ -64,8 +66,9 @@ rt::Result<std::unique_ptr<Mpu6000>> Mpu6000::open(std::unique_ptr<SpiPort> port
   if (code_of(settings.accel_range_g, 2) < 0)
     return rt::Error{"mpu6000: accelerometer range: 2, 4, 8 or 16 g are allowed"};
   std::unique_ptr<Mpu6000> out(new Mpu6000(std::move(port), settings));
-  out->trouble_ = nullptr;
-  if (const char* const why = out->set_up()) out->fail(why);
+  constexpr rt::TimeNs kLongEnoughNs = 2 * rt::kNsPerSecond;
+  if (const char* const why = out->set_up(out->port_->now_ns() + kLongEnoughNs)) out->fail(why);
+  if (out->step_ == Step::kRunning) out->trouble_ = nullptr;
   return out;
 }
 
@@ -94,49 +97,101 @@ const char* Mpu6000::set_registers() {
                                   static_cast<std::uint8_t>(code_of(settings_.gyro_range_deg_s, 250) << 3),
                                   static_cast<std::uint8_t>(code_of(settings_.accel_range_g, 2) << 3)};
   for (std::uint8_t i = 0; i < 4; ++i) {
-    if (!write(static_cast<std::uint8_t>(kSampleRateDivider + i), wanted[i])) return "the bus fails";
+    if (!write(static_cast<std::uint8_t>(kSampleRateDivider + i), wanted[i])) return kBusFails;
   }
   std::uint8_t held[4] = {};
-  if (!read(kSampleRateDivider, held, 4)) return "the bus fails";
+  if (!read(kSampleRateDivider, held, 4)) return kBusFails;
   return std::equal(wanted, wanted + 4, held) ? nullptr : "the chip does not keep what is written to it";
 }
 
-const char* Mpu6000::set_up() {
+void Mpu6000::then(Step step, rt::TimeNs wait_ns) {
+  step_ = step;
+  step_due_ns_ = port_->now_ns() + wait_ns;
+}
+
+const char* Mpu6000::set_up(rt::TimeNs give_up_ns) {
+  while (step_ != Step::kRunning) {
+    port_->sleep_until(std::min(give_up_ns, step_due_ns_));
+    if (port_->now_ns() < step_due_ns_) return nullptr;
+    if (const char* const why = take_step()) return why;
+  }
+  return nullptr;
+}
+
+const char* Mpu6000::take_step() {
+  bool last = false;
+  switch (step_) {
+    case Step::kReset:
+      return reset();
+    case Step::kSignalPath:
+      if (!write(kSignalPathReset, 0x07)) return kBusFails;
+      then(Step::kIdentify, kResetNs);
+      return nullptr;
+    case Step::kIdentify:
+      return identify();
+    case Step::kTestWithout:
+      if (!read_for_test(&test_without_, &last)) return kTestBusFails;
+      if (last && !begin_test(0xE0, 0xF0, Step::kTestWith)) return kTestBusFails;
+      return nullptr;
+    case Step::kTestWith:
+      if (!read_for_test(&test_with_, &last)) return kTestBusFails;
+      if (!last) return nullptr;
+      if (!judge_self_test()) return kTestBusFails;
+      then(Step::kConfigure, 0);
+      return nullptr;
+    case Step::kConfigure:
+      return configure();
+    case Step::kRunning:
+      break;
+  }
+  return nullptr;
+}
+
+const char* Mpu6000::reset() {
   if (!port_->open(settings_.device.c_str(), kSpeedHz)) return "the SPI device cannot be opened";
+  if (!write(kPower1, 0x80)) return kBusFails;
+  then(Step::kSignalPath, kResetNs);
+  return nullptr;
+}
+
+const char* Mpu6000::identify() {
   // After power-on the chip listens to I2C, too, and may take our traffic for it (RM, USER_CTRL).
-  if (!write(kPower1, 0x80)) return "the bus fails";
-  pause(kResetNs);
-  if (!write(kSignalPathReset, 0x07)) return "the bus fails";
-  pause(kResetNs);
-  if (!write(kUserControl, kNoI2c)) return "the bus fails";
+  if (!write(kUserControl, kNoI2c)) return kBusFails;
   std::uint8_t who = 0;
-  if (!read(kWhoAmI, &who, 1)) return "the bus fails";
-  if (who == 0x00 || who == 0xFF) return "nothing answers on the bus";
-  if (who != kMpu6000) {
-    switch (who) {
-      case 0x70:
-        return "another chip answers: an MPU-6500 (WHO_AM_I 0x70)";
-      case 0x71:
-        return "another chip answers: an MPU-9250 (WHO_AM_I 0x71)";
-      case 0x12:
-        return "another chip answers: an ICM-20602 (WHO_AM_I 0x12)";
-      case 0x47:
-        return "another chip answers: an ICM-42688-P (WHO_AM_I 0x47); imu.source = \"iio\" takes it";
-      default:
-        return "another chip answers: WHO_AM_I is not 0x68";
-    }
+  if (!read(kWhoAmI, &who, 1)) return kBusFails;
+  switch (who) {
+    case kMpu6000:
+      break;
+    case 0x00:
+    case 0xFF:
+      return "nothing answers on the bus";
+    case 0x70:
+      return "another chip answers: an MPU-6500 (WHO_AM_I 0x70)";
+    case 0x71:
+      return "another chip answers: an MPU-9250 (WHO_AM_I 0x71)";
+    case 0x12:
+      return "another chip answers: an ICM-20602 (WHO_AM_I 0x12)";
+    case 0x47:
+      return "another chip answers: an ICM-42688-P (WHO_AM_I 0x47); imu.source = \"iio\" takes it";
+    default:
+      return "another chip answers: WHO_AM_I is not 0x68";
   }
   // The gyro's oscillator is better than the chip's own (RM, PWR_MGMT_1).
-  if (!write(kPower1, 0x01) || !write(kPower2, 0x00)) return "the bus fails";
-  if (settings_.self_test && !tested_) {
-    tested_ = true;
-    if (!self_test()) return "the bus fails in the self-test";
-  }
+  if (!write(kPower1, 0x01) || !write(kPower2, 0x00)) return kBusFails;
+  then(Step::kConfigure, 0);
+  if (!settings_.self_test || tested_) return nullptr;
+  // RM-MPU-6000A, 4.1 to 4.5: ranges 250 deg/s and 8 g. Never again: a chip that comes back does so in flight.
+  tested_ = true;
+  return begin_test(0x00, 0x10, Step::kTestWithout) ? nullptr : kTestBusFails;
+}
+
+const char* Mpu6000::configure() {
   if (const char* const why = set_registers()) return why;
-  if (!write(kFifoEnable, kFifoAll) || !empty_buffer()) return "the bus fails";
+  if (!write(kFifoEnable, kFifoAll) || !empty_buffer()) return kBusFails;
   clock_.start(rt::kNsPerSecond / settings_.rate_hz);
   check_.reset();
   ready_count_ = ready_next_ = 0;
+  step_ = Step::kRunning;
   return nullptr;
 }
 
@@ -148,28 +203,31 @@ bool Mpu6000::empty_buffer() {
   return true;
 }
 
-bool Mpu6000::mean_reading(std::array<double, 6>* mean) {
-  constexpr int kReadings = 20;
-  pause(50 * rt::kNsPerMs);  // the response settles (AN-MPU-6000A-00)
-  *mean = {};
-  for (int i = 0; i < kReadings; ++i) {
-    std::uint8_t raw[kSampleBytes] = {};
-    if (!read(kAccelXHigh, raw, kSampleBytes)) return false;
-    for (std::size_t a = 0; a < 3; ++a) {
-      (*mean)[a] += word(raw + 8 + 2 * a) / static_cast<double>(kReadings);
-      (*mean)[3 + a] += word(raw + 2 * a) / static_cast<double>(kReadings);
-    }
-    pause(rt::kNsPerMs);
-  }
+bool Mpu6000::begin_test(std::uint8_t gyro, std::uint8_t accel, Step step) {
+  if (!write(kGyroConfig, gyro) || !write(kAccelConfig, accel)) return false;
+  test_readings_ = 0;
+  (step == Step::kTestWith ? test_with_ : test_without_) = {};
+  then(step, 50 * rt::kNsPerMs);  // the response settles (AN-MPU-6000A-00)
   return true;
 }
 
-bool Mpu6000::self_test() {
-  // RM-MPU-6000A, 4.1 to 4.5: ranges 250 deg/s and 8 g; response = with less without; the factory's from SELF_TEST.
-  std::array<double, 6> without{}, with{};
+bool Mpu6000::read_for_test(std::array<double, 6>* mean, bool* last) {
+  constexpr int kReadings = 20;
+  std::uint8_t raw[kSampleBytes] = {};
+  if (!read(kAccelXHigh, raw, kSampleBytes)) return false;
+  for (std::size_t a = 0; a < 3; ++a) {
+    (*mean)[a] += word(raw + 8 + 2 * a) / static_cast<double>(kReadings);
+    (*mean)[3 + a] += word(raw + 2 * a) / static_cast<double>(kReadings);
+  }
+  *last = ++test_readings_ == kReadings;
+  step_due_ns_ = port_->now_ns() + rt::kNsPerMs;
+  return true;
+}
+
+bool Mpu6000::judge_self_test() {
+  // Response: with less without; the factory's from SELF_TEST.
+  const std::array<double, 6>&without = test_without_, &with = test_with_;
   std::uint8_t code[4] = {};
-  if (!write(kGyroConfig, 0x00) || !write(kAccelConfig, 0x10) || !mean_reading(&without)) return false;
-  if (!write(kGyroConfig, 0xE0) || !write(kAccelConfig, 0xF0) || !mean_reading(&with)) return false;
   if (!read(kSelfTestX, code, 4)) return false;
   double worst = -1;
   for (std::size_t a = 0; a < 3; ++a) {
@@ -201,16 +259,15 @@ ImuStatus Mpu6000::fail(const char* why) {
   gap_ = true;
   ready_count_ = ready_next_ = 0;
   port_->close();
-  retry_ns_ = port_->now_ns() + kRetryNs;
+  then(Step::kReset, kRetryNs);
   return ImuStatus::kFault;
 }
 
 ImuStatus Mpu6000::next(ImuSample* sample, rt::TimeNs timeout_ns) {
   const rt::TimeNs give_up = port_->now_ns() + timeout_ns;
   if (trouble_ != nullptr) {
-    port_->sleep_until(std::min(give_up, retry_ns_));
-    if (port_->now_ns() < retry_ns_) return ImuStatus::kTimeout;
-    if (const char* const why = set_up()) return fail(why);
+    if (const char* const why = set_up(give_up)) return fail(why);
+    if (step_ != Step::kRunning) return ImuStatus::kTimeout;
     ++counters_.restarts;
     trouble_ = nullptr;
     events_.say({.t_ns = port_->now_ns(), .what = "IMU is back"});
@@ -235,19 +292,19 @@ ImuStatus Mpu6000::look(rt::TimeNs give_up_ns) {
     if (before < at && before >= give_up_ns) return ImuStatus::kTimeout;
     // The status register lies elsewhere than the count: two transfers.
     std::uint8_t status = 0, count[2] = {};
-    if (!read(kFifoCount, count, 2)) return fail("the bus fails");
+    if (!read(kFifoCount, count, 2)) return fail(kBusFails);
     const rt::TimeNs after = port_->now_ns();
     const int bytes = count[0] << 8 | count[1];
     // While a sample is being written the count may stand in its middle; more than the chip holds is no count.
     if (bytes > 1024) return fail("the bus gives nonsense");
     const int whole = bytes / static_cast<int>(kSampleBytes);
     if (whole > 60) {
-      if (!read(kInterruptStatus, &status, 1)) return fail("the bus fails");
+      if (!read(kInterruptStatus, &status, 1)) return fail(kBusFails);
       if ((status & kOverflow) != 0 || bytes >= 1010) {
         // What is left in a buffer that ran over no longer begins at a sample.
         ++counters_.overflows;
         gap_ = true;
-        if (!empty_buffer()) return fail("the bus fails");
+        if (!empty_buffer()) return fail(kBusFails);
         clock_.start(rt::kNsPerSecond / settings_.rate_hz);
         return ImuStatus::kFault;
       }
@@ -263,7 +320,7 @@ ImuStatus Mpu6000::look(rt::TimeNs give_up_ns) {
 ImuStatus Mpu6000::fetch(int count, rt::TimeNs before_ns) {
   const int batch = std::min(count, kBatch);
   std::uint8_t raw[16 * kSampleBytes];
-  if (!read(kFifo, raw, static_cast<std::size_t>(batch) * kSampleBytes)) return fail("the bus fails");
+  if (!read(kFifo, raw, static_cast<std::size_t>(batch) * kSampleBytes)) return fail(kBusFails);
   // Those left in the chip were taken after these: the newest of these is older by as many steps.
   const rt::TimeNs rest = clock_.step_ns() * (count - batch);
   const rt::TimeNs t = clock_.take(batch, empty_ns_ - rest, before_ns - rest);

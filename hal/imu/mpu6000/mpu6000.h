@@ -37,7 +37,8 @@ struct Mpu6000Counters {
 
 /// Reads the chip's buffer (FIFO): next() looks into it some times around the moment at which a sample is expected.
 /// Times are the chip's even steps on CLOCK_MONOTONIC, less the delay of its low-pass filter. A chip that fails, lies
-/// or is gone is set up anew, five times a second, within next(). One thread; no allocation, no lock in next().
+/// or is gone is set up anew, five times a second, within next(), step by step: no call waits longer than it may. One
+/// thread; no allocation, no lock in next().
 class Mpu6000 final : public Imu {
  public:
   /// Error: settings that the chip cannot do. A chip that is not there, or another one, is no error: see trouble() and
@@ -66,13 +67,22 @@ class Mpu6000 final : public Imu {
 
   bool read(std::uint8_t address, std::uint8_t* to, std::size_t bytes);
   bool write(std::uint8_t address, std::uint8_t value);
-  void pause(rt::TimeNs time_ns) { port_->sleep_until(port_->now_ns() + time_ns); }
-  /// Static text of what failed; null: the chip runs.
-  const char* set_up();
+  /// What comes next on the way to a chip that runs.
+  enum class Step : std::uint8_t { kReset, kSignalPath, kIdentify, kTestWithout, kTestWith, kConfigure, kRunning };
+  /// Goes on with setting up until give_up_ns. Static text of what failed; null: it runs, or there was no more time.
+  const char* set_up(rt::TimeNs give_up_ns);
+  const char* take_step();
+  /// After this long.
+  void then(Step step, rt::TimeNs wait_ns);
+  const char* reset();
+  const char* identify();
+  const char* configure();
   const char* set_registers();
   bool empty_buffer();
-  bool self_test();
-  bool mean_reading(std::array<double, 6>* mean);
+  /// One of the readings whose mean the self-test needs. True: that was the last one.
+  bool read_for_test(std::array<double, 6>* mean, bool* last);
+  bool begin_test(std::uint8_t gyro, std::uint8_t accel, Step step);
+  bool judge_self_test();
   ImuStatus fail(const char* why);
   ImuStatus look(rt::TimeNs give_up_ns);
   ImuStatus fetch(int count, rt::TimeNs before_ns);
@@ -84,8 +94,11 @@ class Mpu6000 final : public Imu {
   rt::LogRing events_;
   std::atomic<float> temperature_c_{0};  ///< a number alone
   const char* trouble_ = "not set up yet";
-  rt::TimeNs retry_ns_ = 0;
+  Step step_ = Step::kReset;
+  rt::TimeNs step_due_ns_ = 0;
   bool tested_ = false;
+  int test_readings_ = 0;
+  std::array<double, 6> test_without_{}, test_with_{};  ///< gyro, acceleration
   double self_test_percent_ = -1;
   SampleClock clock_;
   ReadingCheck check_;

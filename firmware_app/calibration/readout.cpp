@@ -1,0 +1,111 @@
+#include <algorithm>
+#include <cmath>
+#include <opencv2/core.hpp>
+
+#include "firmware_app/calibration/camera_calibrator.h"
+#include "firmware_app/calibration/projection.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr std::size_t kLeastPoints = 12;
+constexpr double kMostSigmaS = 1e-3;
+
+struct Moment {
+  double t_s = 0;
+  bool good = false;
+  Pose pose;                       ///< at the middle row
+  std::vector<BoardPoint> points;  ///< as seen
+};
+
+/// How fast each point moves in the picture [pixels/s], by the poses around; empty: nobody knows.
+std::vector<cv::Point2d> velocities(const Board& board, const hal::CameraCalibration& c, const Moment& before,
+                                    const Moment& now, const Moment& after) {
+  // Poses at equal distances in time on both sides: what bends the path in between falls out.
+  Pose ahead = now.pose, behind = now.pose;
+  const double dt = 0.5 * std::min(now.t_s - before.t_s, after.t_s - now.t_s);
+  for (int a = 0; a < 3; ++a) {
+    const double turn = (after.pose.turn[a] - before.pose.turn[a]) / (after.t_s - before.t_s);
+    const double shift = (after.pose.shift[a] - before.pose.shift[a]) / (after.t_s - before.t_s);
+    ahead.turn[a] += dt * turn;
+    behind.turn[a] -= dt * turn;
+    ahead.shift[a] += dt * shift;
+    behind.shift[a] -= dt * shift;
+  }
+  auto out = project(board, now.points, c, ahead);
+  const auto from = project(board, now.points, c, behind);
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] = (out[i] - from[i]) * (0.5 / dt);
+  return out;
+}
+
+/// The part of v that the pose of one picture cannot explain.
+cv::Mat beside_pose(const cv::Mat& jacobian, const cv::Mat& v) {
+  cv::Mat x;
+  cv::solve(jacobian, v, x, cv::DECOMP_QR);
+  return v - jacobian * x;
+}
+
+}  // namespace
+
+std::optional<Readout> measure_readout(const Board& board, const std::vector<BoardView>& views,
+                                       const hal::CameraCalibration& c, double max_gap_s) {
+  std::vector<Moment> moments;
+  for (const BoardView& v : views) {
+    Moment m{rt::to_seconds(v.t_ns), false, {}, v.points};
+    m.good = v.t_ns != 0 && v.points.size() >= kLeastPoints && find_pose(board, v.points, c, &m.pose, false);
+    moments.push_back(std::move(m));
+  }
+  double readout = 0;
+  Readout out;
+  // The poses are wrong by what the readout does to them: with each round less.
+  for (int round = 0; round < 6; ++round) {
+    double shown = 0, power = 0, scatter = 0;
+    std::size_t equations = 0;
+    out.pictures = 0;
+    std::vector<std::vector<BoardPoint>> straightened(moments.size());
+    for (std::size_t i = 1; i + 1 < moments.size(); ++i) {
+      const Moment &a = moments[i - 1], &b = moments[i], &d = moments[i + 1];
+      const double turned = cv::norm(a.pose.turn - d.pose.turn);
+      if (!a.good || !b.good || !d.good || !(b.t_s > a.t_s) || !(d.t_s > b.t_s) || b.t_s - a.t_s > max_gap_s ||
+          d.t_s - b.t_s > max_gap_s || turned > 1) {
+        continue;
+      }
+      const auto v = velocities(board, c, a, b, d);
+      cv::Mat jacobian;
+      const auto put = project(board, b.points, c, b.pose, &jacobian);
+      const int n = static_cast<int>(put.size());
+      cv::Mat late(2 * n, 1, CV_64F), off(2 * n, 1, CV_64F);
+      straightened[i] = b.points;
+      for (int k = 0; k < n; ++k) {
+        const auto at = static_cast<std::size_t>(k);
+        const double row = b.points[at].y / (c.height - 1) - 0.5;
+        late.at<double>(2 * k) = v[at].x * row;
+        late.at<double>(2 * k + 1) = v[at].y * row;
+        off.at<double>(2 * k) = b.points[at].x - put[at].x;
+        off.at<double>(2 * k + 1) = b.points[at].y - put[at].y;
+        straightened[i][at].x -= readout * v[at].x * row;
+        straightened[i][at].y -= readout * v[at].y * row;
+      }
+      const cv::Mat model = beside_pose(jacobian, late), seen = beside_pose(jacobian, off);
+      shown += model.dot(seen);
+      power += model.dot(model);
+      scatter += seen.dot(seen);
+      equations += static_cast<std::size_t>(2 * n - 6);
+      ++out.pictures;
+    }
+    if (out.pictures < 10 || !(power > 0)) return std::nullopt;
+    readout = shown / power;
+    const double left = std::max(0.0, scatter - shown * readout) / static_cast<double>(equations);
+    out.seconds = readout;
+    out.sigma_s = std::sqrt(left / power);
+    for (std::size_t i = 0; i < moments.size(); ++i) {
+      if (!straightened[i].empty() && !find_pose(board, straightened[i], c, &moments[i].pose, true)) {
+        moments[i].good = false;
+      }
+    }
+  }
+  if (out.sigma_s > kMostSigmaS) return std::nullopt;
+  return out;
+}
+
+}  // namespace godwit::app

@@ -1,0 +1,136 @@
+#include "hal/camera/v4l2/yuv_rows.h"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <hwy/highway.h>
+
+namespace godwit::hal {
+namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using Wide = hn::ScalableTag<std::int16_t>;
+using Narrow = hn::Rebind<std::uint8_t, Wide>;
+using Bytes = hn::ScalableTag<std::uint8_t>;
+using Pixels = hn::Vec<Narrow>;
+
+/// Pixels whose colours are reckoned before they are put beside one another: fits a level-1 cache.
+constexpr std::size_t kRun = 256;
+
+/// One colour of a run of pixels each.
+struct Planes {
+  alignas(64) std::array<std::uint8_t, kRun> blue, green, red;
+};
+
+std::uint8_t byte_of(int value) {
+  return static_cast<std::uint8_t>(std::clamp(value, 0, 255));
+}
+
+/// Of pixels at even and at odd places, which share their chroma. As bgr_of_yuv to the bit: whole 256ths are taken out
+/// of the factors (298 = 256 + 42, 516 = 512 + 4, 208 = 256 - 48, 409 = 256 + 153), and what is left fits 16 bits.
+void colours(Pixels even, Pixels odd, Pixels u, Pixels v, std::size_t at, Planes* to) {
+  const Wide wide;
+  const Narrow narrow;
+  const auto times = [&](auto x, std::int16_t factor) { return hn::Mul(x, hn::Set(wide, factor)); };
+  const auto d = hn::Sub(hn::PromoteTo(wide, u), hn::Set(wide, 128));
+  const auto e = hn::Sub(hn::PromoteTo(wide, v), hn::Set(wide, 128));
+  const auto blue = hn::Add(d, d), blue_rest = times(d, 4), red_rest = times(e, 153);
+  const auto green_rest = hn::Sub(times(e, 48), times(d, 100));
+  struct Colours {
+    Pixels blue, green, red;
+  };
+  const auto of = [&](Pixels luma) {
+    const auto y = hn::Max(hn::Sub(hn::PromoteTo(wide, luma), hn::Set(wide, 16)), hn::Zero(wide));
+    const auto rest = hn::Add(times(y, 42), hn::Set(wide, 128));
+    // Demoting saturates.
+    const auto sum = [&](auto whole, auto more) {
+      return hn::DemoteTo(narrow, hn::Add(hn::Add(y, whole), hn::ShiftRight<8>(hn::Add(rest, more))));
+    };
+    return Colours{sum(blue, blue_rest), sum(hn::Neg(e), green_rest), sum(e, red_rest)};
+  };
+  const Colours a = of(even), b = of(odd);
+  hn::StoreInterleaved2(a.blue, b.blue, narrow, to->blue.data() + at);
+  hn::StoreInterleaved2(a.green, b.green, narrow, to->green.data() + at);
+  hn::StoreInterleaved2(a.red, b.red, narrow, to->red.data() + at);
+}
+
+void put_together(const Planes& p, std::size_t count, std::uint8_t* bgr) {
+  const Bytes bytes;
+  std::size_t i = 0;
+  for (; i + hn::Lanes(bytes) <= count; i += hn::Lanes(bytes)) {
+    hn::StoreInterleaved3(hn::Load(bytes, p.blue.data() + i), hn::Load(bytes, p.green.data() + i),
+                          hn::Load(bytes, p.red.data() + i), bytes, bgr + 3 * i);
+  }
+  for (; i < count; ++i) {
+    bgr[3 * i] = p.blue[i];
+    bgr[3 * i + 1] = p.green[i];
+    bgr[3 * i + 2] = p.red[i];
+  }
+}
+
+/// read(x, ..): luma at even and odd places, U and V from pixel x on; scalar(x): one pair of pixels.
+template <typename Read, typename Pair>
+void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
+  const std::size_t step = 2 * hn::Lanes(Narrow());
+  Planes planes;
+  std::size_t x = 0;
+  while (x + step <= width) {
+    const std::size_t begin = x;
+    for (; x + step <= width && x + step - begin <= kRun; x += step) {
+      Pixels even, odd, u, v;
+      read(x, even, odd, u, v);
+      colours(even, odd, u, v, x - begin, &planes);
+    }
+    put_together(planes, x - begin, bgr + 3 * begin);
+  }
+  for (; x + 1 < width; x += 2) pair(x);
+}
+
+}  // namespace
+
+void bgr_of_yuv(int y, int u, int v, std::uint8_t* to) {
+  const int c = 298 * std::max(0, y - 16) + 128, d = u - 128, e = v - 128;
+  to[0] = byte_of((c + 516 * d) >> 8);
+  to[1] = byte_of((c - 100 * d - 208 * e) >> 8);
+  to[2] = byte_of((c + 409 * e) >> 8);
+}
+
+void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint8_t* bgr) {
+  const auto w = static_cast<std::size_t>(width);
+  const Bytes bytes;
+  const std::size_t step = hn::Lanes(bytes);
+  std::size_t x = 0;
+  for (; x + step <= w; x += step) {
+    hn::Vec<Bytes> luma, chroma;
+    hn::LoadInterleaved2(bytes, from + 2 * x, luma, chroma);
+    hn::StoreU(luma, bytes, grey + x);
+  }
+  for (; x < w; ++x) grey[x] = from[2 * x];
+  if (bgr == nullptr) return;
+  row(
+      w, bgr,
+      [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
+        hn::LoadInterleaved4(Narrow(), from + 2 * at, even, u, odd, v);
+      },
+      [&](std::size_t at) {
+        const std::uint8_t* const p = from + 2 * at;
+        bgr_of_yuv(p[0], p[1], p[3], bgr + 3 * at);
+        bgr_of_yuv(p[2], p[1], p[3], bgr + 3 * at + 3);
+      });
+}
+
+void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, std::uint8_t* bgr) {
+  row(
+      static_cast<std::size_t>(width), bgr,
+      [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
+        hn::LoadInterleaved2(Narrow(), luma + at, even, odd);
+        hn::LoadInterleaved2(Narrow(), chroma + at, u, v);
+      },
+      [&](std::size_t at) {
+        bgr_of_yuv(luma[at], chroma[at], chroma[at + 1], bgr + 3 * at);
+        bgr_of_yuv(luma[at + 1], chroma[at], chroma[at + 1], bgr + 3 * at + 3);
+      });
+}
+
+}  // namespace godwit::hal
