@@ -30,7 +30,7 @@ bool usable(const MetricMoment& m) {
 }  // namespace
 
 NavigationFrame::NavigationFrame(const Vec3& t_body_cam_m, const NavigationOptions& options)
-    : t_body_cam_(t_body_cam_m), options_(options) {}
+    : t_body_cam_(t_body_cam_m), options_(options), self_check_(options.self_check) {}
 
 bool NavigationFrame::add(const ImuReading& reading) {
   const bool taken = buffer_.add(reading);
@@ -175,6 +175,7 @@ NavigationPose NavigationFrame::tell_coasted(rt::TimeNs t_ns) const {
     return out;
   }
   out.source = NavigationPose::Source::kCoasted;
+  out.trust = self_check_.trust();
   const Vec3 arm = state_.R * t_body_cam_;
   out.T_nav_cam = {state_.R * R_body_cam_, state_.p + arm};
   out.velocity_m_s = state_.v + state_.R * rate_at(t_ns).cross(t_body_cam_);
@@ -214,6 +215,34 @@ void NavigationFrame::hold(const NavigationPose& pose, const MetricMoment& m, rt
   known_ = any_ = true;
 }
 
+void NavigationFrame::check(const NavigationPose& pose, rt::TimeNs t_ns) {
+  bool whole = t_check_ns_ != 0 && last_seen_;
+  if (whole) {
+    // What vision corrected since is no motion.
+    const Mat3 turned = so3_exp(pose.turned_by_rad);
+    checked_.p += pose.moved_by_m;
+    checked_.v = turned * checked_.v;
+    checked_.R = turned * checked_.R;
+    whole = checked_.propagate(buffer_, t_checked_ns_ + shift_ns_, t_ns + shift_ns_, options_.inertial) == 0;
+    t_checked_ns_ = t_ns;
+  }
+  if (whole && t_ns - t_check_ns_ < options_.check_ns) return;
+  if (whole) {
+    const double vision = options_.check_sigma_m + options_.check_share * (state_.p - check_from_).norm();
+    const Mat3 S = checked_.P.block<3, 3>(D::kPlace, D::kPlace) + vision * vision * Mat3::Identity();
+    const Vec3 off = state_.p - checked_.p;
+    if (self_check_.add(CheckedBy::kInertial, off.dot(S.inverse() * off), 3, t_ns)) {
+      break_frame(self_check_.reason(), self_check_.value(), options_.self_check.lost);
+    }
+  }
+  checked_ = state_;
+  // From here on both have the same place and heading: only what moves them apart counts.
+  checked_.P.topRows<3>().setZero();
+  checked_.P.leftCols<3>().setZero();
+  check_from_ = state_.p;
+  t_check_ns_ = t_checked_ns_ = t_ns;
+}
+
 NavigationPose NavigationFrame::frame(rt::TimeNs t_ns, const MetricMoment* seen) {
   go_on_to(t_ns);
   if (seen == nullptr || !usable(*seen)) {
@@ -238,7 +267,9 @@ NavigationPose NavigationFrame::frame(rt::TimeNs t_ns, const MetricMoment* seen)
     if (any_) out.why = why_, out.value = value_, out.limit = limit_;
   }
   hold(out, m, t_ns);
+  check(out, t_ns);
   last_seen_ = true;
+  out.trust = self_check_.trust();
   return out;
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "vo_core/dead_reckoning.h"
+#include "vo_core/self_check.h"
 
 namespace godwit::vo {
 
@@ -37,6 +38,11 @@ struct NavigationOptions {
   /// vertical (2 degrees of freedom) and speed (3); by chance one in 10,000 does.
   double most_tilt2 = 18.4;
   double most_speed2 = 21.1;
+  /// Vision against dead reckoning over this time, again and again. Vision itself may be off by so much then: a length,
+  /// and a share of the way.
+  rt::TimeNs check_ns = rt::kNsPerSecond;
+  double check_sigma_m = 0.02, check_share = 0.01;
+  SelfCheckOptions self_check;
 };
 
 /// What is told of one picture.
@@ -56,6 +62,7 @@ struct NavigationPose {
   /// The last picture's pose would now be told moved by so much, and turned (rotation vector along the frame's axes).
   Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();
   rt::TimeNs unseen_ns = 0;  ///< since the last picture that was seen
+  double trust = 1;          ///< 0 to 1: whether vision and inertial sensor agree over time (vo_core/self_check.h)
   const char* why = "";      ///< kNone, or a frame begun anew: static text
   double value = 0, limit = 0;
 };
@@ -78,6 +85,7 @@ class NavigationFrame {
   void break_frame(const char* why, double value, double limit);
 
   std::uint32_t frame_id() const { return frame_id_; }
+  const SelfCheck& self_check() const { return self_check_; }
 
  private:
   void go_on_to(rt::TimeNs t_ns);
@@ -85,6 +93,7 @@ class NavigationFrame {
   void begin(const MetricMoment& m, const Mat3& R_child_body, const Vec3& p_child_body);
   bool join(const MetricMoment& m, const Mat3& R_child_body, const Vec3& p_child_body);
   void hold(const NavigationPose& pose, const MetricMoment& m, rt::TimeNs t_ns);
+  void check(const NavigationPose& pose, rt::TimeNs t_ns);
   NavigationPose tell_seen(const MetricMoment& m) const;
   NavigationPose tell_coasted(rt::TimeNs t_ns) const;
 
@@ -104,6 +113,11 @@ class NavigationFrame {
   Mat3 turn_ = Mat3::Identity();
   Vec3 anchor_ = Vec3::Zero(), anchor_child_ = Vec3::Zero();
   Eigen::Matrix4d gauge_ = Eigen::Matrix4d::Zero();  ///< covariance of (anchor_, heading)
+  // Vision against dead reckoning that began with it a while ago.
+  SelfCheck self_check_;
+  DeadReckoning checked_;
+  Vec3 check_from_ = Vec3::Zero();
+  rt::TimeNs t_check_ns_ = 0, t_checked_ns_ = 0;  ///< begun (0: not), and how far it is
   const char* why_ = "not metric yet";
   double value_ = 0, limit_ = 0;
 };

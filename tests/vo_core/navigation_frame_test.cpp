@@ -245,6 +245,33 @@ TEST(NavigationFrame, AMapThatDisagreesWithTheSensorIsNotTiedOn) {
   EXPECT_NE(std::string(pose.why).find("vertical"), std::string::npos) << pose.why;
 }
 
+TEST(NavigationFrame, VisionThatAgreesIsTrustedAndVisionThatDoesNotEndsTheFrameWithAReason) {
+  double mean = 0;
+  for (unsigned seed = 1; seed <= 10; ++seed) {
+    Flown f(seed);
+    for (int k = 0; k < 400; ++k) {
+      const NavigationPose pose = f.frame(k);
+      EXPECT_EQ(pose.frame_id, 1u);
+      if (k > 100) {
+        EXPECT_GT(pose.trust, 0.9);
+      }
+    }
+    mean += f.navigation_.self_check().mean(CheckedBy::kInertial) / 10;
+  }
+  EXPECT_LT(mean, 2);
+  // Vision's world is five times too large from some moment on.
+  Flown f(3);
+  for (int k = 0; k < 100; ++k) f.frame(k);
+  f.spoil_ = [](MetricMoment* m) { m->T_child_cam.t *= 5; };
+  double least = 1;
+  int k = 100;
+  NavigationPose pose;
+  for (; k < 400 && (pose = f.frame(k)).frame_id == 1; ++k) least = std::min(least, pose.trust);
+  EXPECT_LT(k, 300);
+  EXPECT_LT(least, 0.5) << "less trust first";
+  EXPECT_NE(std::string(pose.why).find("disagree"), std::string::npos) << pose.why;
+}
+
 TEST(NavigationFrame, WithoutReadingsItClaimsNothingAndTheCovarianceSaysWhatMayHaveHappened) {
   Flown f(6);
   for (int k = 0; k < 20; ++k) f.frame(k);
