@@ -330,8 +330,8 @@ def daemon(program, scenario):
         sniffer, ap = Sniffer(0), EmulatedAutopilot()
         process = subprocess.Popen([godwitd, "--config", config], stderr=subprocess.PIPE, text=True)
         end = time.monotonic() + 60
-        while process.poll() is None and not any(f[1] & 0x7F == 42 for f in sniffer.frames) and time.monotonic() < end:
-            ap.spin(0.1)  # it renders its pictures first
+        while process.poll() is None and len(sniffer.odometry()) < 5 and time.monotonic() < end:
+            ap.spin(0.5)  # its node is there at once; its pictures are rendered and its networks run first
         ap.spin(4)
         info = ap.request(uavcan.protocol.GetNodeInfo.Request())
         process.terminate()
