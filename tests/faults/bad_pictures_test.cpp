@@ -122,7 +122,8 @@ TEST_F(BadPictures, ExposureJumpsAreTrackedThrough) {
   }
   const Outcome o = fly_and_judge(shown, kFault + 60);
   expect_back(o);
-  EXPECT_GE(o.tracked_in_fault, 58);
+  // Of six jumps three cost their own picture (58 before first maps were aligned anew with their own warp).
+  EXPECT_GE(o.tracked_in_fault, 57);
 }
 
 TEST_F(BadPictures, FlickerInBandsIsTrackedThrough) {
