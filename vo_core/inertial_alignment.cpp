@@ -9,7 +9,7 @@ namespace godwit::vo {
 namespace {
 
 /// Error of a place for which the accelerometer's bias is weighed against its prior [m], and that prior [m/s^2].
-constexpr double kPlaceSigma = 3e-3, kBiasSigma = 0.25;
+constexpr double kPlaceSigma = 3e-3, kBiasSigma = 0.15;
 
 Mat3 body(const InertialNode& n, const CameraMounting& m) {
   return n.sight.R_map_cam * m.R_body_cam.transpose();

@@ -28,7 +28,6 @@ InertialState InertialState::plus(const Error& e) const {
   out.up = (up + up_basis() * e.segment<2>(kUp)).normalized();
   out.mounting += e.segment<3>(kMounting);
   out.time_offset_s += e[kTime];
-  out.place += e.segment<3>(kPlace);
   return out;
 }
 
@@ -44,16 +43,8 @@ InertialState::Error InertialState::minus(const InertialState& from) const {
   e.segment<2>(kUp) = from.up_basis().transpose() * up / along;
   e.segment<3>(kMounting) = mounting - from.mounting;
   e[kTime] = time_offset_s - from.time_offset_s;
-  e.segment<3>(kPlace) = place - from.place;
   return e;
 }
-
-namespace {
-/// What is left of vision's error after dt_s.
-double keeps(double dt_s, double time_s) {
-  return std::exp(-dt_s / time_s);
-}
-}  // namespace
 
 Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const CameraMounting& m, SightJacobian* J) {
   const Mat3 R_cam = x.R_map_body * m.R_body_cam * so3_exp(x.mounting);
@@ -82,9 +73,8 @@ Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const Came
 }
 
 PairResidual pair_residual(const InertialState& i, const InertialState& j, const Preintegration& d,
-                           const VisionSight& at_i, const VisionSight& at_j, const CameraMounting& m,
-                           const InertialModel& model, PairJacobian* J_i, PairJacobian* J_j) {
-  const double gravity = model.gravity_m_s2;
+                           const VisionSight& at_i, const VisionSight& at_j, const CameraMounting& m, double gravity,
+                           PairJacobian* J_i, PairJacobian* J_j) {
   const double dt = d.dt_s(), s = i.scale();
   const Mat3 R_i_t = i.R_map_body.transpose(), dR = d.dR(i.bias.gyro);
   const Vec3 g = -gravity * i.up;
@@ -106,10 +96,7 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   r.segment<2>(16) = B_i.transpose() * (j.up - i.up);
   r.segment<3>(18) = j.mounting - i.mounting;
   r[21] = j.time_offset_s - i.time_offset_s;
-  const double keeps_turn = keeps(dt, model.rotation_time_s), keeps_place = keeps(dt, model.position_time_s);
-  r.segment<3>(22) = e_j.head<3>() - keeps_turn * e_i.head<3>();
-  r.segment<3>(25) = e_j.tail<3>() - keeps_place * e_i.tail<3>();
-  r.segment<3>(28) = j.place - i.place - moved;
+  r.segment<6>(22) = e_j - e_i;
   if (J_i == nullptr || J_j == nullptr) return r;
   J_i->setZero();
   J_j->setZero();
@@ -144,56 +131,26 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
     (*J_i)(18 + k, S::kMounting + k) = -1;
     (*J_j)(18 + k, S::kMounting + k) = 1;
   }
-  J_i->middleRows<3>(22) = -keeps_turn * V_i.topRows<3>();
-  J_i->middleRows<3>(25) = -keeps_place * V_i.bottomRows<3>();
-  J_j->middleRows<6>(22) = V_j;
-  for (int k = 0; k < 3; ++k) {
-    (*J_i)(28 + k, S::kPlace + k) = -1;
-    (*J_j)(28 + k, S::kPlace + k) = 1;
-    (*J_i)(28 + k, S::kCamera + k) = s;
-    (*J_j)(28 + k, S::kCamera + k) = -s;
-  }
-  J_i->block<3, 1>(28, S::kScale) = -moved;
+  J_i->bottomRows<6>() = -V_i;
+  J_j->bottomRows<6>() = V_j;
   return r;
 }
 
-namespace {
-
-/// L^-1 times the rows from `first` on. Written out: of a matrix Eigen solves by blocks, which may allocate.
-template <int kRows, typename Residual, typename Jacobian>
-void whiten_rows(const Eigen::Matrix<double, kRows, kRows>& C, int first, Residual* r, Jacobian* J_i, Jacobian* J_j) {
-  const Eigen::Matrix<double, kRows, kRows> L = C.llt().matrixL();
-  for (int row = 0; row < kRows; ++row) {
-    for (int k = 0; k < row; ++k) {
-      (*r)[first + row] -= L(row, k) * (*r)[first + k];
-      J_i->row(first + row) -= L(row, k) * J_i->row(first + k);
-      if (J_j != nullptr) J_j->row(first + row) -= L(row, k) * J_j->row(first + k);
-    }
-    (*r)[first + row] /= L(row, row);
-    J_i->row(first + row) /= L(row, row);
-    if (J_j != nullptr) J_j->row(first + row) /= L(row, row);
-  }
-}
-
-Mat6 diagonal(double rotation_variance, double place_variance) {
-  Mat6 out = Mat6::Zero();
-  out.diagonal().head<3>().setConstant(rotation_variance);
-  out.diagonal().tail<3>().setConstant(place_variance);
-  return out;
-}
-
-}  // namespace
-
-void whiten_sight(const VisionSight& sight, const InertialModel& model, Vec6* r, SightJacobian* J) {
-  const double place = model.position_sigma * sight.depth;
-  whiten_rows<6>(sight.own + diagonal(model.rotation_sigma * model.rotation_sigma, place * place), 0, r, J,
-                 static_cast<SightJacobian*>(nullptr));
-}
-
-void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionSight& at_j, double scale,
-                 const InertialModel& model, PairResidual* r, PairJacobian* J_i, PairJacobian* J_j) {
+void whiten_pair(const Preintegration& d, const VisionSight& at_i, const InertialModel& model, PairResidual* r,
+                 PairJacobian* J_i, PairJacobian* J_j) {
   const double root = std::sqrt(d.dt_s());
-  whiten_rows<9>(d.covariance(), 0, r, J_i, J_j);
+  const Mat9 L = d.covariance().llt().matrixL();
+  // Written out: of a matrix Eigen solves by blocks, which may allocate.
+  for (int row = 0; row < 9; ++row) {
+    for (int k = 0; k < row; ++k) {
+      (*r)[row] -= L(row, k) * (*r)[k];
+      J_i->row(row) -= L(row, k) * J_i->row(k);
+      J_j->row(row) -= L(row, k) * J_j->row(k);
+    }
+    (*r)[row] /= L(row, row);
+    J_i->row(row) /= L(row, row);
+    J_j->row(row) /= L(row, row);
+  }
   const auto weigh = [&](int row, int rows, double sigma) {
     r->segment(row, rows) /= sigma;
     J_i->middleRows(row, rows) /= sigma;
@@ -201,19 +158,12 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   };
   weigh(9, 3, model.imu.gyro_walk * root);
   weigh(12, 3, model.imu.accel_walk * root);
-  weigh(15, 1, std::hypot(model.scale_walk * root, model.scale_handed * std::sqrt(at_j.new_scene)));
+  weigh(15, 1, model.scale_walk * root);
   weigh(16, 2, model.up_walk * root);
   weigh(18, 3, model.mounting_walk * root);
   weigh(21, 1, model.time_walk * root);
-  const double turn = model.rotation_sigma, place = model.position_sigma * at_j.depth;
-  const double keeps_turn = keeps(d.dt_s(), model.rotation_time_s),
-               keeps_place = keeps(d.dt_s(), model.position_time_s);
-  whiten_rows<6>(
-      at_i.own + at_j.own +
-          diagonal(turn * turn * (1 - keeps_turn * keeps_turn), place * place * (1 - keeps_place * keeps_place)),
-      22, r, J_i, J_j);
-  const double depths = (at_j.camera - at_i.camera).norm() / at_i.depth;
-  weigh(28, 3, scale * at_i.depth * (1e-5 + model.place_walk * std::sqrt(depths)));
+  weigh(22, 3, model.rotation_walk * root);
+  weigh(25, 3, model.position_walk * at_i.depth * root);
 }
 
 }  // namespace godwit::vo

@@ -28,26 +28,11 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
   sight.R_map_cam = pose.T_map_cam.R;
   sight.camera = pose.T_map_cam.t;
   sight.depth = std::max(1e-6, pose.median_depth);
-  // Of the twist (v, w) of T_cam_map along the camera's axes: the camera's place is off by -R v, its attitude by -R w.
-  const Mat3& R = pose.T_map_cam.R;
-  const Mat6& C = pose.own_covariance;
-  sight.own.topLeftCorner<3, 3>() = R * C.bottomRightCorner<3, 3>() * R.transpose();
-  sight.own.topRightCorner<3, 3>() = R * C.bottomLeftCorner<3, 3>() * R.transpose();
-  sight.own.bottomLeftCorner<3, 3>() = sight.own.topRightCorner<3, 3>().transpose();
-  sight.own.bottomRightCorner<3, 3>() = R * C.topLeftCorner<3, 3>() * R.transpose();
   // The rate over 10 ms around the frame.
   Preintegration around;
   buffer_.integrate(pose.t_ns - 5 * rt::kNsPerMs, pose.t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
   if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
   return sight;
-}
-
-double InertialOdometry::scene_replaced(const Vec3& camera, double depth) {
-  const Vec3 ahead = camera - scene_;
-  const double beyond = ahead.norm() - depth;
-  if (!(beyond > 0)) return 0;
-  scene_ += ahead.normalized() * beyond;
-  return beyond / depth;
 }
 
 void InertialOdometry::begin_window(const VisualPose& pose) {
@@ -69,7 +54,6 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
   InertialNode node;
   node.t_ns = pose.t_ns;
   node.sight = sight_of(pose);
-  scene_ = node.sight.camera;
   smoother_.add(node);
   smoother_.state(0).bias = prior_.bias;
   smoother_.state(0).mounting = prior_.mounting;
@@ -90,7 +74,6 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
     return false;
   }
   node.sight = sight_of(pose);
-  node.sight.new_scene = scene_replaced(node.sight.camera, node.sight.depth);
   while (metric_ && smoother_.size() >= options_.window) smoother_.drop_oldest();
   smoother_.add(node);
   return true;
@@ -124,12 +107,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const int n = smoother_.size();
   if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
   std::array<InertialNode, InertialSmoother::kNodes> nodes;
-  for (int i = 0; i < n; ++i) {
-    InertialNode& node = nodes[static_cast<std::size_t>(i)];
-    node = smoother_.node(i);
-    node.anchor = i + 1 == n;
-    node.anchor_place.setZero();
-  }
+  for (int i = 0; i < n; ++i) nodes[static_cast<std::size_t>(i)] = smoother_.node(i);
   const std::span<const InertialNode> window(nodes.data(), static_cast<std::size_t>(n));
   ImuBias bias = prior_.bias;
   bias.gyro = align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
@@ -153,6 +131,8 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   if (!convincing(smoother_.solve(6))) return;
   metric_ = true;
   refusal_ = {};
+  anchor_map_ = last_camera_ = pose.T_map_cam.t;
+  way_ = 0;
   // The heading: that of the last map, or the camera's first one along x.
   R_nav_map_ = so3_exp(Vec3::Zero());
   level();
@@ -164,10 +144,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const Vec3 to = have_nav_ && down ? Vec3(-last_nav_.R.col(1)) : wanted;
   const double turn = std::atan2(to.y(), to.x()) - std::atan2(from.y(), from.x());
   R_nav_map_ = so3_exp(Vec3(0, 0, turn)) * R_nav_map_;
-  // What is told of this frame is where the last pose was told.
-  const InertialNode& node = smoother_.node(n - 1);
-  const Vec3 strays = sight_residual(smoother_.newest(), node.sight, smoother_.mounting(), nullptr).tail<3>();
-  anchor_nav_ = (have_nav_ ? last_nav_.t : Vec3(Vec3::Zero())) - R_nav_map_ * way_to(pose.T_map_cam.t + strays);
+  anchor_nav_ = have_nav_ ? last_nav_.t : Vec3(Vec3::Zero());
 }
 
 void InertialOdometry::level() {
@@ -184,8 +161,7 @@ void InertialOdometry::level() {
 }
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
-  if (buffer_.empty()) return {};
-  if (!pose.tracked) return metric_ ? coast(pose.t_ns) : MetricPose{};
+  if (!pose.tracked || buffer_.empty()) return {};
   if (smoother_.size() == 0 || pose.map_id != map_id_) {
     begin_window(pose);
     return {};
@@ -193,9 +169,9 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (pose.map_moved) {
     const Vec3 pivot = smoother_.newest().camera;
     smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
-    scene_ = pivot + so3_exp(pose.turned_by) * (scene_ - pivot) + pose.moved_by;
     if (metric_) {
       // The navigation frame's own view of the map stays: what was corrected, jumps.
+      last_camera_ += pose.moved_by;
       last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
     }
   }
@@ -215,131 +191,56 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   return metric_ ? tell(pose) : MetricPose{};
 }
 
-Vec3 InertialOdometry::way_to(const Vec3& camera_map) const {
-  const S& x = smoother_.newest();
-  return x.place + x.scale() * (camera_map - x.camera);
-}
-
 MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const S& x = smoother_.newest();
   const InertialSmoother::Matrix& C = smoother_.covariance();
   const double s = x.scale();
-  const InertialNode& node = smoother_.node(smoother_.size() - 1);
-  // Most of vision's error at the newest moment is still this frame's.
-  const double kept = std::exp(-rt::to_seconds(pose.t_ns - node.t_ns) / options_.model.position_time_s);
-  const Vec3 strays = sight_residual(x, node.sight, smoother_.mounting(), nullptr).tail<3>();
-  const Vec3 error = kept * strays, since = pose.T_map_cam.t - node.sight.camera;
   MetricPose out;
   out.valid = true;
-  const Vec3 way = R_nav_map_ * way_to(pose.T_map_cam.t + error);
+  const Vec3 way = s * (R_nav_map_ * (pose.T_map_cam.t - anchor_map_));
   out.T_nav_cam = {R_nav_map_ * pose.T_map_cam.R, anchor_nav_ + way};
   if (told_) {
     // The same frame as it would be told now.
-    const Vec3 again = anchor_nav_ + R_nav_map_ * way_to(last_map_.t + error);
+    const Vec3 again = anchor_nav_ + s * (R_nav_map_ * (last_map_.t - anchor_map_));
     out.moved_by_m = again - last_nav_.t;
     out.turned_by_rad = so3_log(R_nav_map_ * last_map_.R * last_nav_.R.transpose());
   }
   told_ = true;
-  t_told_ns_ = pose.t_ns;
   last_map_ = pose.T_map_cam;
+  way_ += (pose.T_map_cam.t - last_camera_).norm();
+  last_camera_ = pose.T_map_cam.t;
 
   // Velocity of the newest moment, carried on to this frame.
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
   Preintegration d(x.bias);
   buffer_.integrate(t_node, pose.t_ns, options_.model.imu, &d);
-  const VisionSight here = sight_of(pose);
-  const Vec3 omega = here.gyro_rad_s - x.bias.gyro;
+  const Vec3 omega = sight_of(pose).gyro_rad_s - x.bias.gyro;
   const Vec3 body = x.velocity - options_.model.gravity_m_s2 * d.dt_s() * x.up + x.R_map_body * d.dv(x.bias);
   const Mat3 R_map_body = x.R_map_body * d.dR(x.bias.gyro);
   out.velocity_m_s = R_nav_map_ * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));
 
-  // Errors of the way, of scale since the newest moment, and of the vertical, which tilts everything about the anchor;
-  // on top what vision may have strayed since that moment, and its attitude's own error.
+  // Errors of (log scale, vertical) move and tilt everything about the anchor; vision's own come on top: those of its
+  // measurements, those that it shares with its neighbours, and what it has drifted since the anchor.
   const Eigen::Matrix<double, 3, 2> tilt_axes =
       R_nav_map_ * (skew(x.up) * x.up_basis());  // up x basis: the turn that moves up so; the map turns back
-  Eigen::Matrix<double, 6, 6> J;                 // by (scale, up, place)
+  Eigen::Matrix<double, 6, 3> J;
   J.setZero();
-  J.block<3, 1>(0, 0) = s * (R_nav_map_ * since);
+  J.block<3, 1>(0, 0) = way;
   J.block<3, 2>(0, 1) = skew(way) * tilt_axes;
-  J.block<3, 3>(0, 3) = R_nav_map_;
   J.block<3, 2>(3, 1) = -tilt_axes;
-  Mat6 P;
-  P.topLeftCorner<3, 3>() = C.block<3, 3>(S::kScale, S::kScale);
-  P.topRightCorner<3, 3>() = C.block<3, 3>(S::kScale, S::kPlace);
-  P.bottomLeftCorner<3, 3>() = C.block<3, 3>(S::kPlace, S::kScale);
-  P.bottomRightCorner<3, 3>() = C.block<3, 3>(S::kPlace, S::kPlace);
-  out.covariance = J * P * J.transpose();
-  const double strayed = options_.model.position_sigma * s * here.depth;
-  out.covariance.diagonal().head<3>().array() += strayed * strayed * (1 - kept * kept);
-  out.covariance.topLeftCorner<3, 3>() +=
-      s * s * (R_nav_map_ * here.own.bottomRightCorner<3, 3>() * R_nav_map_.transpose());
-  out.covariance.bottomRightCorner<3, 3>() += R_nav_map_ * here.own.topLeftCorner<3, 3>() * R_nav_map_.transpose();
+  out.covariance = J * C.block<3, 3>(S::kScale, S::kScale) * J.transpose();
+  Mat6 to_nav = Mat6::Zero();
+  to_nav.topLeftCorner<3, 3>() = s * out.T_nav_cam.R;
+  to_nav.bottomRightCorner<3, 3>() = out.T_nav_cam.R;
+  out.covariance += to_nav * pose.covariance * to_nav.transpose();
+  const double place = options_.model.position_sigma * s * pose.median_depth;
+  const double drift = options_.drift_share * s * way_;
+  out.covariance.diagonal().head<3>().array() += place * place + drift * drift;
   out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
   out.velocity_covariance = R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose();
   out.log_scale_sigma = std::sqrt(C(S::kScale, S::kScale));
   last_nav_ = out.T_nav_cam;
-  last_variance_m2_ = out.covariance.topLeftCorner<3, 3>().trace();
   have_nav_ = true;
-  return out;
-}
-
-MetricPose InertialOdometry::coast(rt::TimeNs t_ns) {
-  const S& x = smoother_.newest();
-  const InertialNode& node = smoother_.node(smoother_.size() - 1);
-  if (t_ns - t_told_ns_ > options_.coast_ns) return {};
-  const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
-  Preintegration d(x.bias);
-  const auto covered = buffer_.integrate(node.t_ns + shift, t_ns + shift, options_.model.imu, &d);
-  if (covered.missing_ns > 30 * rt::kNsPerMs || !(d.dt_s() > 0)) return {};
-  const double dt = d.dt_s(), gravity = options_.model.gravity_m_s2;
-  const Vec3 arm = smoother_.mounting().t_body_cam_m, g = -gravity * x.up;
-  const Mat3 dR = d.dR(x.bias.gyro), R = x.R_map_body * dR;
-  const Vec3 dv = d.dv(x.bias), dp = d.dp(x.bias);
-  const Mat3 R_body_cam = smoother_.mounting().R_body_cam * so3_exp(x.mounting);
-  MetricPose out;
-  out.valid = out.coasted = true;
-  const Vec3 place = x.place + x.velocity * dt + 0.5 * dt * dt * g + x.R_map_body * dp + (R - x.R_map_body) * arm;
-  const Vec3 way = R_nav_map_ * place;
-  // The attitude goes on from vision's own.
-  out.T_nav_cam = {R_nav_map_ * node.sight.R_map_cam * R_body_cam.transpose() * dR * R_body_cam, anchor_nav_ + way};
-  const Vec3 velocity = x.velocity + g * dt + x.R_map_body * dv;
-  out.velocity_m_s = R_nav_map_ * velocity;
-
-  // Errors of (place, attitude), along the navigation frame's axes, and of the velocity, by those of the moment.
-  const Eigen::Matrix<double, 3, 2> B = x.up_basis();
-  const Eigen::Matrix<double, 3, 2> tilt_axes = R_nav_map_ * (skew(x.up) * B);
-  Eigen::Matrix<double, 9, S::kSize> J;
-  J.setZero();
-  const Mat3 N = R_nav_map_ * x.R_map_body, M = R_nav_map_ * R;
-  J.block<3, 3>(0, S::kRotation) = -N * skew(dp) - M * skew(arm) * dR.transpose() + N * skew(arm);
-  J.block<3, 3>(0, S::kVelocity) = dt * R_nav_map_;
-  J.block<3, 3>(0, S::kGyroBias) = N * d.dp_dbg() - M * skew(arm) * d.dR_dbg();
-  J.block<3, 3>(0, S::kAccelBias) = N * d.dp_dba();
-  J.block<3, 2>(0, S::kUp) = skew(way) * tilt_axes - 0.5 * dt * dt * gravity * R_nav_map_ * B;
-  J.block<3, 3>(0, S::kPlace) = R_nav_map_;
-  J.block<3, 3>(3, S::kRotation) = N;
-  J.block<3, 3>(3, S::kGyroBias) = M * d.dR_dbg();
-  J.block<3, 2>(3, S::kUp) = -tilt_axes;
-  J.block<3, 3>(6, S::kRotation) = -N * skew(dv);
-  J.block<3, 3>(6, S::kVelocity) = R_nav_map_;
-  J.block<3, 3>(6, S::kGyroBias) = N * d.dv_dbg();
-  J.block<3, 3>(6, S::kAccelBias) = N * d.dv_dba();
-  J.block<3, 2>(6, S::kUp) = skew(out.velocity_m_s) * tilt_axes - dt * gravity * R_nav_map_ * B;
-  const Eigen::Matrix<double, 9, S::kSize> JC = J.lazyProduct(smoother_.covariance());
-  Mat9 P = JC.lazyProduct(J.transpose());
-  // What the readings add; preintegration's order is (turn, speed, way).
-  Mat9 to_nav = Mat9::Zero();
-  to_nav.block<3, 3>(0, 6) = to_nav.block<3, 3>(6, 3) = N;
-  to_nav.block<3, 3>(3, 0) = M;
-  P += to_nav.lazyProduct(d.covariance()).eval().lazyProduct(to_nav.transpose());
-  out.covariance = P.topLeftCorner<6, 6>();
-  out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
-  out.velocity_covariance = P.bottomRightCorner<3, 3>();
-  out.log_scale_sigma = std::sqrt(smoother_.covariance()(S::kScale, S::kScale));
-  const double grown = out.covariance.topLeftCorner<3, 3>().trace() - last_variance_m2_;
-  if (grown > options_.coast_sigma_m * options_.coast_sigma_m) return {};
-  last_nav_ = out.T_nav_cam;
-  told_ = false;  // what comes next is no correction of this
   return out;
 }
 

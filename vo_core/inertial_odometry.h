@@ -17,12 +17,11 @@ struct VisualPose {
   bool tracked = false;
   std::uint32_t map_id = 0;
   SE3 T_map_cam;
-  Mat6 covariance = Mat6::Zero();      ///< of the left twist (v, w) of T_cam_map, map units and rad
-  Mat6 own_covariance = Mat6::Zero();  ///< the same from the picture's own noise alone, the map taken for true
-  double median_depth = 1;             ///< [map units]
-  bool map_moved = false;              ///< the map was corrected before this frame; by it the last frame's camera
-  Vec3 moved_by = Vec3::Zero();        ///< moved [map units]
-  Vec3 turned_by = Vec3::Zero();       ///< and turned, rotation vector along the map's axes
+  Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_map, map units and rad
+  double median_depth = 1;         ///< [map units]
+  bool map_moved = false;          ///< the map was corrected before this frame; by it the last frame's camera
+  Vec3 moved_by = Vec3::Zero();    ///< moved [map units]
+  Vec3 turned_by = Vec3::Zero();   ///< and turned, rotation vector along the map's axes
 };
 
 struct InertialOdometryOptions {
@@ -35,22 +34,18 @@ struct InertialOdometryOptions {
   int window = 12;                                ///< moments kept from then on
   /// What refuses to guess: the scale's sigma, the vertical's, and how badly all fits. At rest the scale's comes out
   /// above 0.1: places that only seem to move carry about one unit of information each.
-  double begin_scale_sigma = 0.08;
-  double begin_up_sigma = 0.05;  ///< [rad]
+  double begin_scale_sigma = 0.05;
+  double begin_up_sigma = 0.03;  ///< [rad]
   double begin_chi2 = 3;         ///< a degree of freedom
   /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
   double lost_scale_sigma = 0.15;
-  /// How long it goes on without vision: until the place's sigma has grown by so much, which is what the sensor's grade
-  /// allows, and at most so long, which is what is remembered of its readings.
-  double coast_sigma_m = 0.1;
-  rt::TimeNs coast_ns = 1500 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
+  double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
 };
 
 /// Position and attitude of the camera in the navigation frame: metres, z up; origin and heading where it began.
 struct MetricPose {
-  bool valid = false;    ///< the rest means something
-  bool coasted = false;  ///< no picture is behind it: from the inertial sensor alone
+  bool valid = false;  ///< the rest means something
   SE3 T_nav_cam;
   Vec3 velocity_m_s = Vec3::Zero();  ///< of the camera, along the navigation frame's axes
   Mat6 covariance = Mat6::Zero();    ///< of (position [m], rotation vector [rad]), along the navigation frame's axes
@@ -72,7 +67,6 @@ class InertialOdometry {
   MetricPose frame(const VisualPose& pose);
 
   bool metric() const { return metric_; }
-  std::uint32_t map_id() const { return map_id_; }  ///< the map that it is metric in
   /// Attempts to begin, and why the last one was refused.
   struct Refusal {
     const char* text = "";
@@ -90,9 +84,6 @@ class InertialOdometry {
   bool convincing(const InertialSmoother::Report& report);
   void level();
   MetricPose tell(const VisualPose& pose);
-  MetricPose coast(rt::TimeNs t_ns);
-  Vec3 way_to(const Vec3& camera_map) const;
-  double scene_replaced(const Vec3& camera, double depth);
   VisionSight sight_of(const VisualPose& pose) const;
 
   const InertialOdometryOptions options_;
@@ -102,17 +93,15 @@ class InertialOdometry {
   bool metric_ = false;
   std::uint32_t map_id_ = 0;
   Refusal refusal_;
-  // From the map to the navigation frame: p_nav = anchor_nav + R_nav_map way, the way counted from the anchor, in
-  // metres along the map's axes (InertialState::place).
+  // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).
   Mat3 R_nav_map_ = Mat3::Identity();
-  Vec3 anchor_nav_ = Vec3::Zero();
+  Vec3 anchor_map_ = Vec3::Zero(), anchor_nav_ = Vec3::Zero();
   SE3 last_map_;  ///< the last pose told, as vision has it, corrections of the map taken in
   SE3 last_nav_;  ///< the last pose told: where a new map is joined on
   bool have_nav_ = false;
-  bool told_ = false;            ///< last_map_ is of the present window
-  rt::TimeNs t_told_ns_ = 0;     ///< of the last pose with a picture behind it
-  double last_variance_m2_ = 0;  ///< of its place
-  Vec3 scene_ = Vec3::Zero();    ///< trails the camera by a depth: the scene in view was seen from there, too [map]
+  bool told_ = false;  ///< last_map_ is of the present window
+  Vec3 last_camera_ = Vec3::Zero();
+  double way_ = 0;  ///< flown since the anchor [map units]
 };
 
 }  // namespace godwit::vo

@@ -61,7 +61,6 @@ InertialSmoother::~InertialSmoother() = default;
 
 void InertialSmoother::clear() {
   first_ = count_ = 0;
-  slid_ = false;
   prior_H_.setZero();
   prior_b_.setZero();
 }
@@ -92,7 +91,6 @@ void InertialSmoother::add(const InertialNode& node) {
     const Vec3 g = -model_.gravity_m_s2 * last.up;
     x.R_map_body = last.R_map_body * d.dR(last.bias.gyro);
     x.velocity = last.velocity + g * d.dt_s() + last.R_map_body * d.dv(last.bias);
-    x.place = last.place + last.scale() * (node.sight.camera - last.camera);
   }
   // Vision knows better where it is; the inertial sensor how it moves.
   x.R_map_body = node.sight.R_map_cam * (mounting_.R_body_cam * so3_exp(x.mounting)).transpose();
@@ -104,27 +102,23 @@ void InertialSmoother::add(const InertialNode& node) {
 
 double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
   SightJacobian J;
-  Vec6 r = Vec6::Zero();
-  if (i == 0 && !slid_) {
-    r = sight_residual(state(i), node(i).sight, mounting_, &J);
-    whiten_sight(node(i).sight, model_, &r, &J);
-    H->noalias() += J.transpose().lazyProduct(J);
-    b->noalias() -= J.transpose().lazyProduct(r);
-  }
-  if (node(i).anchor) {
-    const double weight = 1 / (model_.anchor_sigma_m * model_.anchor_sigma_m);
-    H->diagonal().segment<3>(S::kPlace).array() += weight;
-    b->segment<3>(S::kPlace) -= weight * (state(i).place - node(i).anchor_place);
-  }
+  Vec6 r = sight_residual(state(i), node(i).sight, mounting_, &J);
+  const double position_sigma = model_.position_sigma * node(i).sight.depth;
+  r.head<3>() /= model_.rotation_sigma;
+  J.topRows<3>() /= model_.rotation_sigma;
+  r.tail<3>() /= position_sigma;
+  J.bottomRows<3>() /= position_sigma;
+  H->noalias() += J.transpose().lazyProduct(J);
+  b->noalias() -= J.transpose().lazyProduct(r);
   return r.squaredNorm();
 }
 
 double InertialSmoother::add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, S::Error* b_i, S::Error* b_j) const {
   PairJacobian J_i, J_j;
   const Preintegration& between = node(i + 1).since_last;
-  PairResidual r =
-      pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_, model_, &J_i, &J_j);
-  whiten_pair(between, node(i).sight, node(i + 1).sight, state(i).scale(), model_, &r, &J_i, &J_j);
+  PairResidual r = pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_,
+                                 model_.gravity_m_s2, &J_i, &J_j);
+  whiten_pair(between, node(i).sight, model_, &r, &J_i, &J_j);
   H_ii->noalias() += J_i.transpose().lazyProduct(J_i);
   H_ij->noalias() = J_i.transpose().lazyProduct(J_j);
   H_jj->noalias() += J_j.transpose().lazyProduct(J_j);
@@ -155,7 +149,6 @@ void InertialSmoother::drop_oldest() {
   prior_at_ = state(1);
   first_ = (first_ + 1) % kNodes;
   --count_;
-  slid_ = true;
 }
 
 InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
@@ -180,7 +173,7 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
       report.chi2 += add_sight(i, &w.H[k], &w.b[k]);
       if (i + 1 < count_) report.chi2 += add_pair(i, &w.H[k], &w.H_next[k], &w.H[k + 1], &w.b[k], &w.b[k + 1]);
     }
-    report.rows = 6 + kPairRows * (count_ - 1) - InertialState::kSize * (count_ - 1);
+    report.rows = 6 * count_ + kPairRows * (count_ - 1) - InertialState::kSize * count_;
     // Elimination from the oldest; H[k] then holds the moment's block with all before it taken in.
     for (std::size_t k = 0; k < static_cast<std::size_t>(count_); ++k) {
       w.H[k].diagonal().array() += 1e-9;
@@ -219,20 +212,14 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
 }
 
 void InertialSmoother::move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift) {
-  const Vec3 place = count_ > 0 ? newest().place : Vec3(Vec3::Zero());
-  const auto moved_place = [&](const Vec3& p, double scale) -> Vec3 {
-    return place + turn * (p - place) + scale * shift;
-  };
   const auto move = [&](InertialState* x) {
     x->R_map_body = turn * x->R_map_body;
-    x->place = moved_place(x->place, x->scale());
     x->camera = pivot + turn * (x->camera - pivot) + shift;
     x->velocity = turn * x->velocity;
     x->up = turn * x->up;
   };
   for (int i = 0; i < count_; ++i) {
     move(&state(i));
-    nodes_[at(i)].anchor_place = moved_place(nodes_[at(i)].anchor_place, state(i).scale());
     VisionSight& sight = nodes_[at(i)].sight;
     sight.R_map_cam = turn * sight.R_map_cam;
     sight.camera = pivot + turn * (sight.camera - pivot) + shift;

@@ -13,18 +13,16 @@ namespace godwit::vo {
 struct InertialNode {
   rt::TimeNs t_ns = 0;
   VisionSight sight;
-  Preintegration since_last;         ///< from the moment before to this one
-  bool anchor = false;               ///< the way is counted from here:
-  Vec3 anchor_place = Vec3::Zero();  ///< its place, zero until the map is corrected [m]
+  Preintegration since_last;  ///< from the moment before to this one
 };
 
 /// How sure one is before anything was measured. One sigma each.
 struct InertialPrior {
   ImuBias bias;
   double gyro_bias_sigma = 0.1;    ///< [rad/s]
-  double accel_bias_sigma = 0.25;  ///< [m/s^2]
-  double mounting_sigma = 0.035;   ///< [rad]
-  double time_sigma = 2e-2;        ///< [s]
+  double accel_bias_sigma = 0.15;  ///< [m/s^2]
+  double mounting_sigma = 0.02;    ///< [rad]
+  double time_sigma = 3e-3;        ///< [s]
   Vec3 mounting = Vec3::Zero();
   double time_offset_s = 0;
 };
@@ -79,8 +77,7 @@ class InertialSmoother {
  private:
   struct Work;
   std::size_t at(int i) const { return static_cast<std::size_t>((first_ + i) % kNodes); }
-  /// Adds what is known of moment i alone to its block: vision's error in all at the first, the anchor; returns the
-  /// squared residual.
+  /// Adds what vision saw at moment i, absolutely, to its block; returns the squared residual.
   double add_sight(int i, Matrix* H, InertialState::Error* b) const;
   double add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, InertialState::Error* b_i,
                   InertialState::Error* b_j) const;
@@ -91,7 +88,6 @@ class InertialSmoother {
   std::array<InertialNode, kNodes> nodes_;
   std::array<InertialState, kNodes> states_;
   int first_ = 0, count_ = 0;
-  bool slid_ = false;  ///< moments have left: where vision saw the first is in the prior
   // Prior of the oldest: (x - prior_at)^T H (x - prior_at) / 2 - b^T (x - prior_at).
   Matrix prior_H_ = Matrix::Zero();
   InertialState::Error prior_b_ = InertialState::Error::Zero();

@@ -46,7 +46,6 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.map_id = result.map_id;
   seen.T_map_cam = result.T_world_cam;
   seen.covariance = result.covariance;
-  seen.own_covariance = result.own_covariance;
   seen.median_depth = result.median_depth;
   seen.map_moved = result.map_moved;
   seen.moved_by = result.moved_by;
@@ -64,13 +63,6 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
     }
     return;
   }
-  if (pose.coasted) {
-    record->tracked = false;
-    record->has_pose = true;
-    record->state = vo::State::kCoasting;
-    record->map_id = odometry_->map_id();
-    record->reference_id = 0;
-  }
   record->metric = true;
   const Eigen::Quaterniond q = pose.T_nav_cam.quaternion();
   record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
@@ -78,7 +70,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   Eigen::Map<Eigen::Vector3d>(record->velocity.data()) = pose.velocity_m_s;
   Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = pose.moved_by_m;
   Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = pose.turned_by_rad;
-  record->map_moved = (result.map_moved && !pose.coasted) || pose.moved_by_m.squaredNorm() > 0;
+  record->map_moved = result.map_moved || pose.moved_by_m.squaredNorm() > 0;
   const vo::InertialState& x = odometry_->smoother().newest();
   record->inertial.log_scale_sigma = pose.log_scale_sigma;
   Eigen::Map<Eigen::Vector3d>(record->inertial.gyro_bias.data()) = x.bias.gyro;

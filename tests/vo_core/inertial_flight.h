@@ -26,15 +26,11 @@ class Flight {
     const Vec3 axis = Vec3(0, 0, 1).cross(kUpInMap);
     R_map_world_ = so3_exp(axis.normalized() * std::atan2(axis.norm(), kUpInMap.z()));
   }
-  /// From t_s on it flies straight ahead.
-  void straight_from(double t_s) { straight_s_ = t_s; }
   Mat3 R(double t) const {
-    t = std::min(t, straight_s_);
     const double a = std::min(1.0, amplitude_);
     return so3_exp(a * Vec3(0.3 * std::sin(1.7 * t), 0.4 * std::sin(1.1 * t + 1), 0.6 * std::sin(0.7 * t)));
   }
   Vec3 p(double t) const {
-    if (t > straight_s_) return p(straight_s_) + (t - straight_s_) * v(straight_s_ - 2 * kStep);
     return amplitude_ * Vec3(0.4 * std::sin(1.9 * t), 0.3 * std::cos(2.3 * t), 0.2 * std::sin(1.5 * t + 2));
   }
   Vec3 v(double t) const { return (p(t + kStep) - p(t - kStep)) / (2 * kStep); }
@@ -45,12 +41,9 @@ class Flight {
     InertialNode n;
     const double t = k / 20.0;
     n.t_ns = static_cast<rt::TimeNs>(t * 1e9);
-    const auto stray = [&](double sigma, double time_s, Vec3* error) {
-      const double keeps = k > 0 ? std::exp(-1 / (20 * time_s)) : 0;
-      *error = keeps * *error + sigma * std::sqrt(1 - keeps * keeps) * random();
-    };
-    stray(model_.position_sigma, model_.position_time_s, &drift_);
-    stray(model_.rotation_sigma, model_.rotation_time_s, &turn_);
+    const double root = std::sqrt(1 / 20.0);
+    drift_ = 0.95 * drift_ + root * model_.position_walk * random();
+    turn_ = 0.95 * turn_ + root * model_.rotation_walk * random();
     n.sight.R_map_cam = so3_exp(turn_) * R_map_world_ * R(t) * mounting_.R_body_cam;
     n.sight.camera = R_map_world_ * (p(t) + R(t) * mounting_.t_body_cam_m) / scale_ + drift_;
     n.since_last = Preintegration(guess);
@@ -77,13 +70,14 @@ class Flight {
   /// Vision as it is where the scene is some way off.
   static InertialModel quiet() {
     InertialModel m;
-    m.position_sigma = 4e-4;
-    m.rotation_sigma = 7e-4;
+    m.position_walk = 6e-4;
+    m.position_sigma = 3e-3;
+    m.scale_walk = 3e-4;
     return m;
   }
 
   static constexpr double kStep = 1e-4;
-  double amplitude_, scale_ = 2.5, straight_s_ = 1e9;
+  double amplitude_, scale_ = 2.5;
   ImuBias bias_;
   CameraMounting mounting_ = slanted_mounting();
   InertialModel model_ = quiet();

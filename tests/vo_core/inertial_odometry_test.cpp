@@ -157,68 +157,11 @@ TEST(InertialOdometry, TheGyroscopeTellsTheCamerasTurn) {
   EXPECT_FALSE(flown.odometry_->camera_turn(3900 * rt::kNsPerMs, 4100 * rt::kNsPerMs, &turn)) << "not measured yet";
 }
 
-TEST(InertialOdometry, CoastsWithoutPicturesAndSaysHowFarItMayBeOff) {
-  double nees = 0;
-  int judged = 0;
-  for (unsigned seed = 1; seed <= 8; ++seed) {
-    Flight f(1.0, 400 + seed);
-    Flown flown(&f);
-    MetricPose last;
-    for (int k = 0; k < 120; ++k) last = flown.frame(k);
-    ASSERT_TRUE(last.valid && !last.coasted);
-    const Mat3 R_true = f.R(119 / 20.0) * f.mounting_.R_body_cam;
-    const Mat3 turn = last.T_nav_cam.R * R_true.transpose();
-    const Vec3 offset = last.T_nav_cam.t - turn * flown.camera(119 / 20.0);
-    flown.tracked_ = false;
-    double before = last.covariance.topLeftCorner<3, 3>().trace();
-    for (int k = 120; k < 140; ++k) {
-      const MetricPose pose = flown.frame(k);
-      ASSERT_TRUE(pose.valid && pose.coasted) << "frame " << k;
-      const double now = pose.covariance.topLeftCorner<3, 3>().trace();
-      EXPECT_GT(now, before) << "its covariance grows";
-      before = now;
-      const Vec3 e = turn * flown.camera(k / 20.0) + offset - pose.T_nav_cam.t;
-      EXPECT_LT(e.norm(), 0.10) << "frame " << k;
-      nees += e.dot(pose.covariance.topLeftCorner<3, 3>().llt().solve(e)) / 3;
-      ++judged;
-    }
-    int k = 140;
-    while (flown.frame(k).valid && k < 200) ++k;
-    EXPECT_LE(k, 151) << "not for ever";
-    flown.tracked_ = true;
-    const MetricPose again = flown.frame(k + 1);
-    ASSERT_TRUE(again.valid && !again.coasted) << "the map is there again, and so are metres";
-    EXPECT_LT((turn * flown.camera((k + 1) / 20.0) + offset - again.T_nav_cam.t).norm(), 0.05);
-  }
-  EXPECT_LT(nees / judged, 2.0);
-}
-
-TEST(InertialOdometry, AtConstantVelocityTheScaleBecomesUncertain) {
-  for (unsigned seed = 1; seed <= 3; ++seed) {
-    Flight f(1.0, 500 + seed);
-    f.straight_from(6.0);
-    Flown flown(&f);
-    MetricPose pose;
-    double at_6_s = 0;
-    for (int k = 0; k < 20 * 36; ++k) {
-      pose = flown.frame(k);
-      if (k == 120) {
-        ASSERT_TRUE(pose.valid);
-        at_6_s = pose.log_scale_sigma;
-      }
-    }
-    ASSERT_TRUE(pose.valid);
-    EXPECT_GE(pose.log_scale_sigma, 2 * at_6_s);
-    EXPECT_LT(std::abs(flown.odometry_->smoother().newest().log_scale - std::log(f.scale_)), 3 * pose.log_scale_sigma);
-  }
-}
-
 TEST(InertialOdometry, DoesNotAllocate) {
   Flight f(1.0, 9);
   Flown flown(&f);
   for (int k = 0; k < 100; ++k) {
     const rt::RtScope real_time;
-    flown.tracked_ = k != 90;  // coasting, too
     flown.frame(k);
   }
   EXPECT_TRUE(flown.odometry_->metric());

@@ -30,7 +30,6 @@ InertialState some_state(int salt) {
   x.up = (kUpInMap + v(0.02)).normalized();
   x.mounting = v(0.02);
   x.time_offset_s = 0.01 * normal(engine);
-  x.place = v(2.0);
   return x;
 }
 
@@ -49,9 +48,7 @@ TEST(InertialFactors, JacobiansAreThoseOfDifferences) {
   Preintegration d(ImuBias{Vec3(0.01, 0, 0.01), Vec3(0, 0.05, 0)});
   for (int k = 0; k < 20; ++k) d.add(Vec3(0.5, -0.4, 0.3 + 0.02 * k), Vec3(1, 2, 9.0), 0.005, {});
   PairJacobian J_i, J_j;
-  InertialModel model;
-  model.gravity_m_s2 = 9.81;
-  pair_residual(i, j, d, at_i, at_j, m, model, &J_i, &J_j);
+  pair_residual(i, j, d, at_i, at_j, m, 9.81, &J_i, &J_j);
   SightJacobian V;
   sight_residual(i, at_i, m, &V);
   const double h = 1e-6;
@@ -59,7 +56,7 @@ TEST(InertialFactors, JacobiansAreThoseOfDifferences) {
     S::Error e = S::Error::Zero();
     e[k] = h;
     const auto pair = [&](const InertialState& a, const InertialState& b) {
-      return pair_residual(a, b, d, at_i, at_j, m, model, nullptr, nullptr);
+      return pair_residual(a, b, d, at_i, at_j, m, 9.81, nullptr, nullptr);
     };
     const PairResidual by_i = (pair(i.plus(e), j) - pair(i.plus(-e), j)) / (2 * h);
     const PairResidual by_j = (pair(i, j.plus(e)) - pair(i, j.plus(-e))) / (2 * h);
@@ -186,31 +183,6 @@ TEST(InertialSmoother, AMapThatMovesTakesAllAlong) {
   EXPECT_LT((smoother->newest().camera - (pivot + turn * (before.camera - pivot) + shift)).norm(), 1e-3);
   EXPECT_NEAR(smoother->newest().log_scale, before.log_scale, 2e-3);
   EXPECT_LT(angle_between(smoother->newest().up, turn * before.up), 1e-3);
-}
-
-TEST(InertialSmoother, WhatIsLearnedOfTheScaleMovesTheWayFlown) {
-  Flight f(1.0, 4);
-  Alignment found;
-  InertialSmoother::Report report;
-  const auto smoother = begun(&f, 30, AlignmentMethod::kWhole, &found, &report);
-  // A second smoother with the anchor at its tenth moment: the way is counted from there.
-  InertialSmoother counted(f.mounting_, f.model_);
-  for (int k = 0; k < 30; ++k) {
-    InertialNode node = smoother->node(k);
-    node.anchor = k == 10;
-    counted.add(node);
-    counted.state(k) = smoother->state(k);
-    counted.state(k).place.setConstant(0.3 * k);
-  }
-  counted.set_prior({});
-  ASSERT_TRUE(counted.solve(10).ok);
-  const Vec3 way = counted.newest().scale() * (counted.newest().camera - counted.state(10).camera);
-  EXPECT_LT((counted.newest().place - way).norm(), 1e-3);
-  const auto& C = counted.covariance();
-  // The way's error along itself is that of the scale, and they go together.
-  const Vec3 d = way.normalized();
-  const double with_scale = d.dot(C.block<3, 1>(S::kPlace, S::kScale)) / C(S::kScale, S::kScale);
-  EXPECT_NEAR(with_scale, way.norm(), 0.3 * way.norm());
 }
 
 }  // namespace
