@@ -12,22 +12,14 @@
 
 #include "hal/can/can_bus.h"
 #include "hal/can/can_link.h"
+#include "tests/vm/check.h"
 
 namespace {
 using namespace godwit;
 using namespace godwit::hal;
-
-int failures = 0;
-
-void check(bool ok, const std::string& what) {
-  std::printf("%s %s\n", ok ? "ok   " : "FAIL ", what.c_str());
-  std::fflush(stdout);
-  if (!ok) ++failures;
-}
-
-void run(const std::string& command) {
-  if (std::system(command.c_str()) != 0) check(false, "command: " + command);
-}
+using godwit::vm::check;
+using godwit::vm::failures;
+using godwit::vm::run;
 
 std::unique_ptr<CanBus> open_bus(const std::string& name) {
   auto bus = open_can("socketcan:" + name);

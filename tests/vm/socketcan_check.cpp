@@ -8,21 +8,14 @@
 #include "firmware_app/link/link_service.h"
 #include "hal/can/can_bus.h"
 #include "hal/can/can_link.h"
+#include "tests/vm/check.h"
 
 namespace {
 using namespace godwit;
 using namespace godwit::hal;
-
-int failures = 0;
-
-void check(bool ok, const std::string& what) {
-  std::printf("%s %s\n", ok ? "ok   " : "FAIL ", what.c_str());
-  if (!ok) ++failures;
-}
-
-void run(const char* command) {
-  if (std::system(command) != 0) check(false, std::string("command: ") + command);
-}
+using godwit::vm::check;
+using godwit::vm::failures;
+using godwit::vm::run;
 
 std::unique_ptr<CanBus> open_bus(const std::string& name) {
   auto bus = open_can("socketcan:" + name);
@@ -132,7 +125,7 @@ void link_on_it() {
   settings.link.identity.unique_id = {7};
   auto opened = link::LinkService::open(settings);
   const auto other = open_bus("vcan0");
-  if (!opened.ok() || !other) return check(false, opened.ok() ? "bus" : opened.error().message);
+  if (!check(opened.ok() && other, opened.ok() ? "bus" : opened.error().message)) return;
   link::LinkService& service = *opened.value();
   std::size_t frames = 0;
   CanFrame got;

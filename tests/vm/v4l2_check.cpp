@@ -12,23 +12,14 @@
 #include <vector>
 
 #include "hal/camera/v4l2/v4l2_camera.h"
+#include "tests/vm/check.h"
 
 namespace {
 using namespace godwit;
 using namespace godwit::hal;
-
-int failures = 0;
-
-bool check(bool ok, const std::string& what) {
-  std::printf("%s %s\n", ok ? "ok   " : "FAIL ", what.c_str());
-  std::fflush(stdout);
-  if (!ok) ++failures;
-  return ok;
-}
-
-bool run(const std::string& command) {
-  return check(std::system(command.c_str()) == 0, command);
-}
+using godwit::vm::check;
+using godwit::vm::failures;
+using godwit::vm::run;
 
 /// A driver that stamps in a clock which is `shift` ahead, as a Tegra's counter is.
 class ShiftedClock final : public VideoSystem {
