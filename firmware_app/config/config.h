@@ -123,6 +123,13 @@ struct Config {
     bool bench_metric = false;       ///< replay only: lengths of the map pass for metres, its start for level
     std::string state_folder;        ///< parameters and reset counter are kept there; empty: nowhere
   } link;
+
+  /// What godwitd writes down of each flight (output/flight_log.h).
+  struct FlightLog {
+    bool enabled = true;
+    std::string folder;    ///< empty: `flights` in link.state_folder; without that there is no log
+    int budget_mb = 2000;  ///< of all flights in it
+  } flight_log;
 };
 
 /// A configuration, or everything that is wrong with it.

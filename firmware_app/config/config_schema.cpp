@@ -101,6 +101,10 @@ void add_link(Config* c, std::vector<Key>* to) {
            keys::number_list("link.origin", 3, -20000, 20000, &c->link.origin),
            keys::flag("link.bench_metric", &c->link.bench_metric),
            keys::text("link.state_folder", kLongestPath, "a folder", &c->link.state_folder),
+
+           keys::flag("flight_log.enabled", &c->flight_log.enabled),
+           keys::text("flight_log.folder", kLongestPath, "a folder", &c->flight_log.folder),
+           keys::whole("flight_log.budget_mb", 10, 1'000'000, &c->flight_log.budget_mb),
        }) {
     to->push_back(std::move(key));
   }

@@ -15,6 +15,7 @@
 #include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
+#include "firmware_app/output/flight_log.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
@@ -33,11 +34,11 @@ int give_up(const std::string& line) {
   return kExitFailed;
 }
 
-/// Tells what changes; frame after frame is for the flight log.
+/// Tells what changes; frame after frame is for the flight log, which may be null.
 class Journal final : public FrameSink {
  public:
-  Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused)
-      : manager_(manager), locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)) {}
+  Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log)
+      : manager_(manager), locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)), log_(log) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
@@ -50,10 +51,12 @@ class Journal final : public FrameSink {
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
     if (record.tracked) ++tracked_;
+    if (log_ != nullptr) log_->frame(record);
     return {};
   }
   void event(const rt::LogEntry& e) override {
     clock_.heard(e.t_ns);
+    if (log_ != nullptr) log_->event(e);
     say(event_line(e, clock_.first_ns()));
   }
   std::uint64_t tracked() const { return tracked_; }
@@ -62,6 +65,7 @@ class Journal final : public FrameSink {
   const hal::ServiceManager& manager_;
   const bool locks_memory_;
   const std::string memory_refused_;
+  FlightLog* const log_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
@@ -111,6 +115,27 @@ class WithoutCamera {
   rt::TimeNs t_begin_ns_ = 0;
 };
 
+/// Null: none is wanted, or nowhere to write it.
+std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
+  const bool own_folder = !config.flight_log.folder.empty();
+  if (!config.flight_log.enabled || (!own_folder && config.link.state_folder.empty())) return nullptr;
+  FlightLogOptions options;
+  options.folder = own_folder ? config.flight_log.folder : config.link.state_folder + "/flights";
+  options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
+  std::string text;
+  for (const std::string& line : show_config(config)) text += line + "\n";
+  options.info.emplace_back("ver_sw_release", version_words(version()));
+  options.info.emplace_back("ver_sw", commit_words(version()));
+  options.info.emplace_back("configuration", std::move(text));
+  say("flight log: " + options.folder);
+  return std::make_unique<FlightLog>(std::move(options));
+}
+
+void tell(const FlightLogReport& r) {
+  say(fmt::format("flight log: {} kB in {} files, {} messages dropped{}", r.written_bytes / 1000, r.files, r.dropped,
+                  r.trouble.empty() ? "" : "; " + r.trouble));
+}
+
 /// Camera, networks and threads, until the end. Returns an ExitCode.
 int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, LinkRunner* autopilot,
         rt::Heartbeats* heartbeats, const hal::ServiceManager& manager, const std::function<void(const char*)>& abandon,
@@ -149,7 +174,9 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   options.tap = autopilot;
   // The link's own flag is raised by its thread, which may hang.
   options.also_stop = &stop;
-  Journal journal(manager, config.threads.lock_memory, arm_memory(config));
+  // Before memory is locked: its thread and its buffers belong to what is there.
+  const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config);
+  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get());
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();
@@ -158,6 +185,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
     counters.threads.push_back(autopilot->thread_report());
   }
   tell(counters, journal.tracked(), parts.dynamic != nullptr);
+  if (flight_log != nullptr) tell(flight_log->finish(rt::kNsPerSecond));
   return kExitDone;
 }
 

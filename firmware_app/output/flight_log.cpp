@@ -1,7 +1,6 @@
 #include "firmware_app/output/flight_log.h"
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <charconv>
 #include <chrono>
@@ -14,90 +13,21 @@
 #include <mutex>
 #include <pthread.h>
 #include <sys/stat.h>
-#include <thread>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include "firmware_app/output/event_line.h"
+#include "firmware_app/output/flight_topics.h"
 #include "firmware_app/output/ulog.h"
 
 namespace godwit::app {
 namespace {
 namespace fs = std::filesystem;
-using ulog::Field;
 
 constexpr rt::TimeNs kRetryNs = rt::kNsPerSecond;
 constexpr auto kTurn = std::chrono::milliseconds(100);
 constexpr std::size_t kNameDigits = 6;
-
-constexpr std::array<Field, 17> kPose = {{{"uint64_t", "timestamp"},
-                                          {"uint64_t", "t_done"},
-                                          {"double[3]", "position"},
-                                          {"double[4]", "q_xyzw"},
-                                          {"double[21]", "covariance"},
-                                          {"double[3]", "velocity"},
-                                          {"double[6]", "velocity_covariance"},
-                                          {"double[3]", "reference_position"},
-                                          {"double[4]", "reference_q_xyzw"},
-                                          {"double[21]", "reference_covariance"},
-                                          {"double", "median_depth"},
-                                          {"uint64_t", "t_reference"},
-                                          {"uint32_t", "reference_id"},
-                                          {"uint32_t", "sequence"},
-                                          {"uint32_t", "map_id"},
-                                          {"uint8_t", "tracked"},
-                                          {"uint8_t", "metric"}}};
-constexpr std::array<Field, 21> kFrame = {
-    {{"uint64_t", "timestamp"},  {"uint64_t", "t_delivered"}, {"uint64_t", "t_done"}, {"uint32_t", "sequence"},
-     {"uint32_t", "map_id"},     {"int32_t", "features"},     {"float", "wall_ms"},   {"float", "thread_cpu_ms"},
-     {"float", "mapper_cpu_ms"}, {"float", "pyramid_ms"},     {"float", "apply_ms"},  {"float", "initialise_ms"},
-     {"float", "align_ms"},      {"float", "reproject_ms"},   {"float", "pose_ms"},   {"float", "keyframe_ms"},
-     {"float", "map_ms"},        {"uint8_t", "fate"},         {"uint8_t", "tracked"}, {"uint8_t", "is_keyframe"},
-     {"uint8_t", "map_moved"}}};
-static_assert(kStages == 8, "frame lists the stages by name");
-constexpr std::array<Field, 16> kMapper = {{{"uint64_t", "timestamp"},
-                                            {"float", "rms_before_px"},
-                                            {"float", "rms_after_px"},
-                                            {"uint32_t", "messages"},
-                                            {"uint32_t", "adjustments"},
-                                            {"int32_t", "seeds"},
-                                            {"int32_t", "seeds_updated"},
-                                            {"int32_t", "points"},
-                                            {"int32_t", "points_new"},
-                                            {"int32_t", "keyframes"},
-                                            {"int32_t", "free_keyframes"},
-                                            {"int32_t", "fixed_keyframes"},
-                                            {"int32_t", "adjusted_points"},
-                                            {"int32_t", "observations"},
-                                            {"int32_t", "iterations"},
-                                            {"int32_t", "outliers"}}};
-constexpr std::array<Field, 3> kMachine = {
-    {{"uint64_t", "timestamp"}, {"float", "temperature_c"}, {"uint8_t", "throttled"}}};
-constexpr std::array<Field, 4> kLog = {
-    {{"uint64_t", "timestamp"}, {"uint64_t", "written_bytes"}, {"uint64_t", "dropped"}, {"uint32_t", "waiting_bytes"}}};
-
-enum Topic : std::uint16_t { kPoseTopic, kFrameTopic, kMapperTopic, kMachineTopic, kLogTopic };
-
-std::uint64_t us(rt::TimeNs t_ns) {
-  return static_cast<std::uint64_t>(t_ns / 1000);
-}
-
-std::string definitions(const FlightLogOptions& options, rt::TimeNs t_ns) {
-  std::string out;
-  ulog::append_header(t_ns, &out);
-  ulog::append_flags(&out);
-  ulog::append_info("sys_name", "godwit", &out);
-  for (const auto& [key, value] : options.info) ulog::append_info(key, value, &out);
-  const auto topic = [&out](Topic id, const char* name, auto fields) {
-    ulog::append_format(name, fields, &out);
-    return std::pair<Topic, const char*>{id, name};
-  };
-  const std::array<std::pair<Topic, const char*>, 5> topics = {
-      topic(kPoseTopic, "pose", std::span(kPose)), topic(kFrameTopic, "frame", std::span(kFrame)),
-      topic(kMapperTopic, "mapper", std::span(kMapper)), topic(kMachineTopic, "machine", std::span(kMachine)),
-      topic(kLogTopic, "log", std::span(kLog))};
-  for (const auto& [id, name] : topics) ulog::append_subscription(id, name, &out);
-  return out;
-}
+constexpr std::size_t kStackBytes = 256 * 1024;  // locked with all memory, so not the eight megabytes that are usual
 
 /// Number of a flight's file; 0: it is none.
 std::uint64_t number_of(const fs::path& file) {
@@ -155,6 +85,7 @@ struct FlightLog::State {
   bool open(rt::TimeNs now_ns);
   bool write(std::string_view bytes);
   void make_room();
+  bool has_room() const;
   void look_at_machine(const hal::MachineMonitor& monitor, rt::TimeNs now_ns);
   void fail(const std::string& doing, rt::TimeNs now_ns);
 };
@@ -203,9 +134,24 @@ void FlightLog::State::make_room() {
   }
 }
 
+bool FlightLog::State::has_room() const {
+  struct statvfs disc {};
+  // Of a disc that does not tell, writing will.
+  if (::statvfs(options.folder.c_str(), &disc) != 0 || disc.f_blocks == 0) return true;
+  const auto bytes = [&disc](auto blocks) { return static_cast<double>(blocks) * static_cast<double>(disc.f_frsize); };
+  const double left = std::min(static_cast<double>(options.leave_bytes), options.leave_share * bytes(disc.f_blocks));
+  if (bytes(disc.f_bavail) > left) return true;
+  errno = ENOSPC;
+  return false;
+}
+
 bool FlightLog::State::open(rt::TimeNs now_ns) {
   ::mkdir(options.folder.c_str(), 0750);
   make_room();
+  if (!has_room()) {
+    fail("nearly full", now_ns);
+    return false;
+  }
   std::error_code error;
   std::uint64_t last = 0;
   for (fs::directory_iterator i(options.folder, error), end; !error && i != end; i.increment(error)) {
@@ -218,7 +164,7 @@ bool FlightLog::State::open(rt::TimeNs now_ns) {
     return false;
   }
   good_bytes = 0;
-  std::string begin = definitions(options, now_ns);
+  std::string begin = flight_topics::definitions(options.info, now_ns);
   if (t_trouble_ns != 0) ulog::append_dropout(now_ns - t_trouble_ns, &begin);
   if (!write(begin)) {
     fail("cannot be written", now_ns);
@@ -255,6 +201,7 @@ void FlightLog::State::turn(const std::string& chunk, std::uint64_t messages, rt
     if (::fdatasync(fd) != 0) fail("cannot be synchronised", now_ns);
     t_synced_ns = now_ns;
     unsynced = false;
+    if (fd >= 0 && !has_room()) fail("nearly full", now_ns);
   }
 }
 
@@ -263,9 +210,8 @@ void FlightLog::State::look_at_machine(const hal::MachineMonitor& monitor, rt::T
   t_machine_ns = now_ns;
   if (options.machine) {
     const hal::MachineState m = monitor.read();
-    const auto sample =
-        ulog::Sample(now_ns).put(static_cast<float>(m.temperature_c)).put(static_cast<std::uint8_t>(m.throttled));
-    put([&](std::string* out) { ulog::append_sample(kMachineTopic, sample.bytes(), out); });
+    const ulog::Sample sample = flight_topics::machine(m, now_ns);
+    put([&](std::string* out) { ulog::append_sample(flight_topics::kMachine, sample.bytes(), out); });
   }
   std::uint64_t written = 0, dropped = 0;
   std::uint32_t bytes = 0;
@@ -275,8 +221,8 @@ void FlightLog::State::look_at_machine(const hal::MachineMonitor& monitor, rt::T
     dropped = report.dropped;
     bytes = static_cast<std::uint32_t>(waiting.size());
   }
-  const auto sample = ulog::Sample(now_ns).put(written).put(dropped).put(bytes);
-  put([&](std::string* out) { ulog::append_sample(kLogTopic, sample.bytes(), out); });
+  const ulog::Sample sample = flight_topics::log(written, dropped, bytes, now_ns);
+  put([&](std::string* out) { ulog::append_sample(flight_topics::kLog, sample.bytes(), out); });
 }
 
 void FlightLog::State::run() {
@@ -307,6 +253,35 @@ void FlightLog::State::run() {
   change.notify_all();
 }
 
+bool FlightLog::start(std::shared_ptr<State> state) {
+  const auto body = [](void* passed) -> void* {
+    const std::unique_ptr<std::shared_ptr<State>> owned(static_cast<std::shared_ptr<State>*>(passed));
+    State& s = **owned;
+    pthread_setname_np(pthread_self(), "gw-flightlog");
+    try {
+      s.run();
+    } catch (const std::exception&) {
+      // Out of memory: what comes from now on is counted as dropped.
+      const std::lock_guard<std::mutex> lock(s.mutex);
+      s.has_thread = false;
+      s.ended = true;
+      s.change.notify_all();
+    }
+    return nullptr;
+  };
+  auto passed = std::make_unique<std::shared_ptr<State>>(std::move(state));
+  pthread_attr_t attributes;
+  if (pthread_attr_init(&attributes) != 0) return false;
+  // Detached, and with a share of the state: a disc that hangs keeps no end away.
+  pthread_attr_setdetachstate(&attributes, PTHREAD_CREATE_DETACHED);
+  pthread_attr_setstacksize(&attributes, kStackBytes);
+  pthread_t thread{};
+  const bool started = pthread_create(&thread, &attributes, body, passed.get()) == 0;
+  pthread_attr_destroy(&attributes);
+  if (started) (void)passed.release();  // the thread's own
+  return started;
+}
+
 FlightLog::FlightLog(FlightLogOptions options) : state_(std::make_shared<State>(std::move(options))) {
   // Signals are the other threads' business.
   sigset_t all, before;
@@ -315,19 +290,7 @@ FlightLog::FlightLog(FlightLogOptions options) : state_(std::make_shared<State>(
   try {
     state_->waiting.reserve(state_->options.buffer_bytes + 65536);
     state_->has_thread = true;
-    // Detached, and with a share of the state: a disc that hangs keeps no end away.
-    std::thread([state = state_] {
-      pthread_setname_np(pthread_self(), "gw-flightlog");
-      try {
-        state->run();
-      } catch (const std::exception&) {
-        // Out of memory: what comes from now on is counted as dropped.
-        const std::lock_guard<std::mutex> lock(state->mutex);
-        state->has_thread = false;
-        state->ended = true;
-        state->change.notify_all();
-      }
-    }).detach();
+    if (!start(state_)) throw std::bad_alloc();
   } catch (const std::exception&) {
     state_->has_thread = false;
     state_->report.trouble = "no thread to be had for the flight log";
@@ -341,33 +304,12 @@ FlightLog::~FlightLog() {
 
 void FlightLog::frame(const FrameRecord& r) noexcept {
   try {
-    const auto ms = [](rt::TimeNs ns) { return static_cast<float>(rt::to_ms(ns)); };
-    ulog::Sample frame(r.t_capture_ns);
-    frame.put(us(r.t_delivered_ns)).put(us(r.t_done_ns)).put(r.sequence).put(r.map_id).put(r.features);
-    frame.put(ms(r.wall_ns)).put(ms(r.thread_cpu_ns)).put(ms(r.mapper_cpu_ns));
-    for (const rt::TimeNs stage : r.stage_ns) frame.put(ms(stage));
-    frame.put(static_cast<std::uint8_t>(r.fate));
-    for (const bool flag : {r.tracked, r.is_keyframe, r.map_moved}) frame.put(static_cast<std::uint8_t>(flag));
-    ulog::Sample pose(r.t_capture_ns);
-    if (r.has_pose) {
-      pose.put(us(r.t_done_ns)).put_all<double>(r.t_world_cam).put_all<double>(r.q_world_cam);
-      pose.put_all<double>(r.covariance).put_all<double>(r.velocity).put_all<double>(r.velocity_covariance);
-      pose.put_all<double>(r.t_ref_cam).put_all<double>(r.q_ref_cam).put_all<double>(r.reference_covariance);
-      pose.put(r.median_depth).put(us(r.t_reference_ns)).put(r.reference_id).put(r.sequence).put(r.map_id);
-      for (const bool flag : {r.tracked, r.metric}) pose.put(static_cast<std::uint8_t>(flag));
-    }
-    const MappingRecord& m = r.mapping;
-    ulog::Sample mapper(r.t_capture_ns);
-    if (m.messages > 0) {
-      mapper.put(static_cast<float>(m.rms_before_px)).put(static_cast<float>(m.rms_after_px));
-      mapper.put(m.messages).put(m.adjustments);
-      for (const std::int32_t n : {m.seeds, m.seeds_updated, m.points, m.points_new, m.keyframes, m.free_keyframes,
-                                   m.fixed_keyframes, m.adjusted_points, m.observations, m.iterations, m.outliers})
-        mapper.put(n);
-    }
-    state_->put([&](std::string* out) { ulog::append_sample(kFrameTopic, frame.bytes(), out); });
-    if (r.has_pose) state_->put([&](std::string* out) { ulog::append_sample(kPoseTopic, pose.bytes(), out); });
-    if (m.messages > 0) state_->put([&](std::string* out) { ulog::append_sample(kMapperTopic, mapper.bytes(), out); });
+    const auto put = [this](const ulog::Sample& sample, flight_topics::Topic topic) {
+      state_->put([&](std::string* out) { ulog::append_sample(topic, sample.bytes(), out); });
+    };
+    put(flight_topics::frame(r), flight_topics::kFrame);
+    if (r.has_pose) put(flight_topics::pose(r), flight_topics::kPose);
+    if (r.mapping.messages > 0) put(flight_topics::mapper(r), flight_topics::kMapper);
     if (r.fate != FrameFate::kProcessed) text(4, r.t_capture_ns, r.reason.view());
   } catch (const std::exception&) {
   }

@@ -22,6 +22,9 @@ struct FlightLogOptions {
   std::size_t file_bytes = 64'000'000;        ///< a new file is begun after so many
   std::size_t buffer_bytes = 1'000'000;       ///< what may wait for the disc
   rt::TimeNs sync_ns = rt::kNsPerSecond / 2;  ///< so often the disc is made to have what was written
+  /// What is left of the disc, which others need, too: nothing is written while less is free than the smaller of both.
+  std::size_t leave_bytes = 100'000'000;
+  double leave_share = 0.05;  ///< of the whole disc
   /// Stand in each file: version, commit, configuration.
   std::vector<std::pair<std::string, std::string>> info;
   bool machine = true;  ///< temperature once a second
@@ -36,8 +39,9 @@ struct FlightLogReport {
 
 /// Files NNNNNN.ulg, counted on from the highest number there. Each is whole in itself and ends after a whole message,
 /// also where the disc was full; where the machine dies, what the disc got since the last synchronisation is at the end
-/// of the file, perhaps cut. A disc that is full, slow or gone costs messages and nothing else: they are counted, it is
-/// tried again each second, and the first file after it says for how long nothing was written. Never throws.
+/// of the file, perhaps cut. A disc that is full, or nearly, slow or gone costs messages and nothing else: they are
+/// counted, it is tried again each second, and the first file after it says for how long nothing was written. Never
+/// throws.
 class FlightLog {
  public:
   explicit FlightLog(FlightLogOptions options);
@@ -58,6 +62,7 @@ class FlightLog {
 
  private:
   struct State;
+  static bool start(std::shared_ptr<State> state);
   std::shared_ptr<State> state_;
 };
 

@@ -165,6 +165,33 @@ TEST(Godwitd, NobodyReadsTheLogAndItFliesOn) {
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0) << "neither killed by a signal nor failed";
 }
 
+TEST(Godwitd, WritesEachFlightDown) {
+  const test::TempFolder folder;
+  const std::string flights = folder / "flights";
+  const std::string config = write_config(folder, kSmallFlight + "[flight_log]\nfolder = \"" + flights + "\"\n");
+  for (const char* file : {"000001.ulg", "000002.ulg"}) {
+    Daemon daemon(config);
+    ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+    EXPECT_THAT(daemon.all(), HasSubstr("flight log: " + flights));
+    rt::TimeNs took = 0;
+    EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+    EXPECT_THAT(daemon.all(), HasSubstr("in 1 files, 0 messages dropped"));
+    const std::string bytes = test::read_file(flights + "/" + file);
+    for (const char* part : {"ULog", "sys_name", "camera.source", "sequence", "INITIALISING"}) {
+      EXPECT_THAT(bytes, HasSubstr(part)) << file;
+    }
+  }
+}
+
+TEST(Godwitd, AFlightLogThatCannotBeWrittenGroundsNobody) {
+  const test::TempFolder folder;
+  Daemon daemon(write_config(folder, kSmallFlight + "[flight_log]\nfolder = \"/proc/no/such/folder\"\n"));
+  ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+  EXPECT_THAT(daemon.all(), HasSubstr("a file cannot be made"));
+}
+
 TEST(Godwitd, ATerminalThatClosesEndsNoFlight) {
   const test::TempFolder folder;
   Daemon daemon(write_config(folder, kSmallFlight));

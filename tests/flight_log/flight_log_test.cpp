@@ -8,6 +8,7 @@
 #include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <limits>
 #include <map>
 #include <sys/resource.h>
 #include <unistd.h>
@@ -147,6 +148,21 @@ TEST(FlightLog, AFullDiscLeavesWholeMessagesAndIsCounted) {
   EXPECT_GT(report.dropped, 0u);
   EXPECT_THAT(report.trouble, testing::HasSubstr("cannot be written"));
   for (const auto& file : files(folder.path())) messages(file);
+}
+
+TEST(FlightLog, LeavesRoomOnTheDiscForOthers) {
+  const TempFolder folder;
+  FlightLogOptions o = options(folder.path());
+  // No disc has more free than it is large.
+  o.leave_bytes = std::numeric_limits<std::size_t>::max();
+  o.leave_share = 1;
+  FlightLog log(o);
+  log.frame(frame(0));
+  const FlightLogReport report = log.finish(60 * rt::kNsPerSecond);
+  EXPECT_EQ(report.files, 0u);
+  EXPECT_GE(report.dropped, 3u) << "a frame, its pose and the mapper's figures";
+  EXPECT_TRUE(files(folder.path()).empty());
+  EXPECT_THAT(report.trouble, testing::HasSubstr("nearly full"));
 }
 
 TEST(FlightLog, AFolderThatCannotBeMadeCostsTheLogAlone) {

@@ -1,0 +1,126 @@
+#include "firmware_app/output/flight_topics.h"
+
+#include <array>
+#include <span>
+
+namespace godwit::app::flight_topics {
+namespace {
+using ulog::Field;
+
+constexpr std::array<Field, 17> kPoseFields = {{{"uint64_t", "timestamp"},
+                                                {"uint64_t", "t_done"},
+                                                {"double[3]", "position"},
+                                                {"double[4]", "q_xyzw"},
+                                                {"double[21]", "covariance"},
+                                                {"double[3]", "velocity"},
+                                                {"double[6]", "velocity_covariance"},
+                                                {"double[3]", "reference_position"},
+                                                {"double[4]", "reference_q_xyzw"},
+                                                {"double[21]", "reference_covariance"},
+                                                {"double", "median_depth"},
+                                                {"uint64_t", "t_reference"},
+                                                {"uint32_t", "reference_id"},
+                                                {"uint32_t", "sequence"},
+                                                {"uint32_t", "map_id"},
+                                                {"uint8_t", "tracked"},
+                                                {"uint8_t", "metric"}}};
+constexpr std::array<Field, 21> kFrameFields = {
+    {{"uint64_t", "timestamp"},  {"uint64_t", "t_delivered"}, {"uint64_t", "t_done"}, {"uint32_t", "sequence"},
+     {"uint32_t", "map_id"},     {"int32_t", "features"},     {"float", "wall_ms"},   {"float", "thread_cpu_ms"},
+     {"float", "mapper_cpu_ms"}, {"float", "pyramid_ms"},     {"float", "apply_ms"},  {"float", "initialise_ms"},
+     {"float", "align_ms"},      {"float", "reproject_ms"},   {"float", "pose_ms"},   {"float", "keyframe_ms"},
+     {"float", "map_ms"},        {"uint8_t", "fate"},         {"uint8_t", "tracked"}, {"uint8_t", "is_keyframe"},
+     {"uint8_t", "map_moved"}}};
+static_assert(kStages == 8, "frame lists the stages by name");
+constexpr std::array<Field, 16> kMapperFields = {{{"uint64_t", "timestamp"},
+                                                  {"float", "rms_before_px"},
+                                                  {"float", "rms_after_px"},
+                                                  {"uint32_t", "messages"},
+                                                  {"uint32_t", "adjustments"},
+                                                  {"int32_t", "seeds"},
+                                                  {"int32_t", "seeds_updated"},
+                                                  {"int32_t", "points"},
+                                                  {"int32_t", "points_new"},
+                                                  {"int32_t", "keyframes"},
+                                                  {"int32_t", "free_keyframes"},
+                                                  {"int32_t", "fixed_keyframes"},
+                                                  {"int32_t", "adjusted_points"},
+                                                  {"int32_t", "observations"},
+                                                  {"int32_t", "iterations"},
+                                                  {"int32_t", "outliers"}}};
+constexpr std::array<Field, 3> kMachineFields = {
+    {{"uint64_t", "timestamp"}, {"float", "temperature_c"}, {"uint8_t", "throttled"}}};
+constexpr std::array<Field, 4> kLogFields = {
+    {{"uint64_t", "timestamp"}, {"uint64_t", "written_bytes"}, {"uint64_t", "dropped"}, {"uint32_t", "waiting_bytes"}}};
+
+std::uint64_t us(rt::TimeNs t_ns) {
+  return static_cast<std::uint64_t>(t_ns / 1000);
+}
+
+float ms(rt::TimeNs t_ns) {
+  return static_cast<float>(rt::to_ms(t_ns));
+}
+}  // namespace
+
+std::string definitions(const std::vector<std::pair<std::string, std::string>>& info, rt::TimeNs t_ns) {
+  std::string out;
+  ulog::append_header(t_ns, &out);
+  ulog::append_flags(&out);
+  ulog::append_info("sys_name", "godwit", &out);
+  for (const auto& [key, value] : info) ulog::append_info(key, value, &out);
+  ulog::append_format("pose", kPoseFields, &out);
+  ulog::append_format("frame", kFrameFields, &out);
+  ulog::append_format("mapper", kMapperFields, &out);
+  ulog::append_format("machine", kMachineFields, &out);
+  ulog::append_format("log", kLogFields, &out);
+  ulog::append_subscription(kPose, "pose", &out);
+  ulog::append_subscription(kFrame, "frame", &out);
+  ulog::append_subscription(kMapper, "mapper", &out);
+  ulog::append_subscription(kMachine, "machine", &out);
+  ulog::append_subscription(kLog, "log", &out);
+  return out;
+}
+
+ulog::Sample frame(const FrameRecord& r) {
+  ulog::Sample out(r.t_capture_ns);
+  out.put(us(r.t_delivered_ns)).put(us(r.t_done_ns)).put(r.sequence).put(r.map_id).put(r.features);
+  out.put(ms(r.wall_ns)).put(ms(r.thread_cpu_ns)).put(ms(r.mapper_cpu_ns));
+  for (const rt::TimeNs stage : r.stage_ns) out.put(ms(stage));
+  out.put(static_cast<std::uint8_t>(r.fate));
+  for (const bool flag : {r.tracked, r.is_keyframe, r.map_moved}) out.put(static_cast<std::uint8_t>(flag));
+  return out;
+}
+
+ulog::Sample pose(const FrameRecord& r) {
+  ulog::Sample out(r.t_capture_ns);
+  out.put(us(r.t_done_ns)).put_all<double>(r.t_world_cam).put_all<double>(r.q_world_cam);
+  out.put_all<double>(r.covariance).put_all<double>(r.velocity).put_all<double>(r.velocity_covariance);
+  out.put_all<double>(r.t_ref_cam).put_all<double>(r.q_ref_cam).put_all<double>(r.reference_covariance);
+  out.put(r.median_depth).put(us(r.t_reference_ns)).put(r.reference_id).put(r.sequence).put(r.map_id);
+  for (const bool flag : {r.tracked, r.metric}) out.put(static_cast<std::uint8_t>(flag));
+  return out;
+}
+
+ulog::Sample mapper(const FrameRecord& r) {
+  const MappingRecord& m = r.mapping;
+  ulog::Sample out(r.t_capture_ns);
+  out.put(static_cast<float>(m.rms_before_px)).put(static_cast<float>(m.rms_after_px));
+  out.put(m.messages).put(m.adjustments);
+  for (const std::int32_t n : {m.seeds, m.seeds_updated, m.points, m.points_new, m.keyframes, m.free_keyframes,
+                               m.fixed_keyframes, m.adjusted_points, m.observations, m.iterations, m.outliers}) {
+    out.put(n);
+  }
+  return out;
+}
+
+ulog::Sample machine(const hal::MachineState& state, rt::TimeNs t_ns) {
+  return ulog::Sample(t_ns)
+      .put(static_cast<float>(state.temperature_c))
+      .put(static_cast<std::uint8_t>(state.throttled));
+}
+
+ulog::Sample log(std::uint64_t written_bytes, std::uint64_t dropped, std::uint32_t waiting, rt::TimeNs t_ns) {
+  return ulog::Sample(t_ns).put(written_bytes).put(dropped).put(waiting);
+}
+
+}  // namespace godwit::app::flight_topics

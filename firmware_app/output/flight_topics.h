@@ -1,0 +1,27 @@
+// What stands in a flight log, topic by topic (docs/flight-log.md). Pure.
+#pragma once
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "firmware_app/output/ulog.h"
+#include "firmware_app/pipeline/frame_record.h"
+#include "hal/machine/machine_state.h"
+
+namespace godwit::app::flight_topics {
+
+enum Topic : std::uint16_t { kPose, kFrame, kMapper, kMachine, kLog };
+
+/// What each file begins with: when, `info` by key and value, and the topics with their fields.
+std::string definitions(const std::vector<std::pair<std::string, std::string>>& info, rt::TimeNs t_ns);
+
+ulog::Sample frame(const FrameRecord& r);
+/// Of a record that has one.
+ulog::Sample pose(const FrameRecord& r);
+ulog::Sample mapper(const FrameRecord& r);
+ulog::Sample machine(const hal::MachineState& state, rt::TimeNs t_ns);
+/// The log's own figures; waiting: bytes not yet handed to the disc.
+ulog::Sample log(std::uint64_t written_bytes, std::uint64_t dropped, std::uint32_t waiting, rt::TimeNs t_ns);
+
+}  // namespace godwit::app::flight_topics
