@@ -69,7 +69,7 @@ class Run:
         listed = [line.split() for line in (self.recording / 'rgb.txt').read_text().splitlines() if line[0] != '#']
         self.pictures = (self.recording / listed[0][1]).parent
         self.state.mkdir()
-        subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=128k', 'none', self.state], check=True)
+        subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=16m', 'none', self.state], check=True)
         config = folder / 'godwit.toml'
         config.write_text(f'[camera]\nsource = "replay"\nsequence = "{self.recording}"\n[can]\nbus = "multicast:0"\n'
                           f'[link]\nstate_folder = "{self.state}"\n')
@@ -125,6 +125,16 @@ class Run:
                 return False, time.monotonic() - t_end, slowness, stall
             self.turn()
 
+    def settle(self):
+        """Until no process is about to end: the watchdog's patience may end with the fault itself, when all seems well again."""
+        t_killed = None
+        while not self.supervisor.running or any(k[1] == self.supervisor.process.pid for k in self.supervisor.kills):
+            t_killed = t_killed or time.monotonic()
+            self.turn()
+        if t_killed is not None:
+            good, took, slowness, stall = self.await_well(self.supervisor.starts[-1][0], BACK_S)
+            self.check(good, 'started anew after the fault, back after %.1f s (limit %.1f)' % (took, BACK_S * slowness + stall))
+
     def look_for_lies(self, fault, t_begin, t_end):
         """What was told while a fault was true."""
         stall = self.machine.stall(t_begin)
@@ -142,7 +152,8 @@ class Run:
         """Of all that was told since the last call."""
         poses = [t for t, _, _ in self.told.odometry]
         silent = [(t, words) for t, well, words in self.told.statuses
-                  if well and t > self.t_looked_at and not any(t - 1 - self.slack() < p <= t for p in poses)]
+                  if well and t > max(self.t_looked_at, self.t_bus_up + 1) and
+                  not any(t - 1 - self.slack() < p <= t for p in poses)]
         self.check(not silent, 'whenever it was well there was an ODOMETRY within the last second' + (
             ': not %.2f s ago (%s)' % (time.monotonic() - silent[0][0], silent[0][1]) if silent else ''))
         starts = [t for t, _ in self.supervisor.starts]
@@ -156,6 +167,7 @@ class Run:
         self.told.statuses = [s for s in self.told.statuses if s[0] > self.t_looked_at - 5]
 
     t_looked_at = 0.0
+    t_bus_up = 0.0  # nobody hears an ODOMETRY while the bus is down: it has a second from then on
 
     def one(self, fault, lasts_s):
         pid, kills = self.supervisor.process.pid, len(self.supervisor.kills)
@@ -164,6 +176,7 @@ class Run:
         fault.begin()
         while time.monotonic() - t_begin < lasts_s:
             self.turn()
+        t_over = time.monotonic()
         fault.end()
         t_end = time.monotonic()
         # With the process the fault was over, too: what comes then is said by another.
@@ -172,7 +185,7 @@ class Run:
         if killed is not None:
             print('      ended by the supervisor after %.1f s: %s' % (killed - t_begin, self.supervisor.kills[-1][2]))
         self.told.look()
-        self.look_for_lies(fault, t_begin, min(t for t in (t_end, ended, killed) if t is not None))
+        self.look_for_lies(fault, t_begin, min(t for t in (t_over, ended, killed) if t is not None))
         good, took, slowness, stall = self.await_well(t_end, BACK_S)
         self.check(good, 'back after %.1f s (limit %.1f: the machine was %.1f times as slow as alone, and stood for %.2f s)' % (
             took, BACK_S * slowness + stall, slowness, stall))
@@ -213,6 +226,7 @@ def main():
             count = 0
             kinds, weights = zip(*faults.ALL)
             while time.monotonic() - begin < arguments.seconds and run.failed == 0:
+                run.settle()
                 fault = draw.choices(kinds, weights)[0](run, draw)
                 lasts_s = draw.choice([0.3, 0.7, 1.5, 2.0, 3.0, 4.0])
                 if arguments.only and arguments.only not in fault.name:

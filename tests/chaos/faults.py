@@ -12,7 +12,7 @@ LIE_S = 1.0
 MAPPER_LIE_S = 3.0  # one message may take the mapper two seconds
 # By name, and what may be said while they stand. The others are no failure of the flight, or are watched at other ends.
 THREADS = {'gw-camera': LIE_S, 'gw-tracker': LIE_S, 'gw-link': LIE_S, 'gw-mapper': MAPPER_LIE_S, 'gw-detector': None,
-           'gw-link-keep': None, 'gw-log': None, 'gw-watchdog': None, 'godwitd': None}
+           'gw-link-keep': None, 'gw-log': None, 'gw-flightlog': None, 'gw-watchdog': None, 'godwitd': None}
 
 
 class Fault:
@@ -35,7 +35,7 @@ class ThreadStands(Fault):
         self.thread = name or random.choice(sorted(THREADS))
         self.name = f'thread {self.thread} stands'
         self.lies_after = THREADS[self.thread]
-        self.stays_well = self.thread in ('gw-detector', 'gw-log')
+        self.stays_well = self.thread in ('gw-detector', 'gw-log', 'gw-flightlog')
         self.stopped = None
 
     def begin(self):
@@ -136,7 +136,7 @@ class BusIsDown(Fault):
         subprocess.run(['ip', 'link', 'set', 'lo', 'up'], check=True)
         subprocess.run(['ip', 'link', 'set', 'lo', 'multicast', 'on'], check=True)
         subprocess.run(['ip', 'route', 'add', '239.0.0.0/8', 'dev', 'lo'], check=True)
-        self.run.bus_is_up = True
+        self.run.bus_is_up, self.run.t_bus_up = True, time.monotonic()
 
 
 class BusIsFlooded(Fault):

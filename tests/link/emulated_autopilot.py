@@ -1,5 +1,6 @@
 """An autopilot on the bus, as far as a vision source can tell: pydronecan and pymavlink with ArduPilot's rules for taking
 external vision (libraries/AP_VisualOdom and GCS_Common's handle_odometry, read for their behaviour)."""
+import binascii
 import math
 import os
 import queue
@@ -39,8 +40,10 @@ class Sniffer(threading.Thread):
             data, extra, _, _ = self.sock.recvmsg(100, 64)
             seconds, nanoseconds = struct.unpack("qq", extra[0][2][:16])
             t = seconds + nanoseconds * 1e-9 - (time.time() - time.monotonic())
-            magic, _, flags, can_id = struct.unpack("<HHHI", data[:10])
-            if magic == 0x2934:
+            if len(data) < 10:
+                continue
+            magic, crc, flags, can_id = struct.unpack("<HHHI", data[:10])
+            if magic == 0x2934 and crc == binascii.crc_hqx(data[4:], 0xFFFF):
                 self.frames.append((t, can_id & 0x1FFFFFFF, bool(can_id >> 31), bool(flags & 1), data[10:]))
 
     def transfers(self, source=OUR_NODE):
