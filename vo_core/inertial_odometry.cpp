@@ -130,6 +130,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   smoother_.set_prior(prior_);
   if (!convincing(smoother_.solve(6))) return;
   metric_ = true;
+  ++begun_;
   refusal_ = {};
   anchor_map_ = last_camera_ = pose.T_map_cam.t;
   way_ = 0;

@@ -67,6 +67,8 @@ class InertialOdometry {
   MetricPose frame(const VisualPose& pose);
 
   bool metric() const { return metric_; }
+  /// How often it became metric: poses of one number stand in one frame.
+  std::uint32_t begun() const { return begun_; }
   /// Attempts to begin, and why the last one was refused.
   struct Refusal {
     const char* text = "";
@@ -91,6 +93,7 @@ class InertialOdometry {
   ImuBuffer buffer_;
   InertialSmoother smoother_;
   bool metric_ = false;
+  std::uint32_t begun_ = 0;
   std::uint32_t map_id_ = 0;
   Refusal refusal_;
   // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).

@@ -61,7 +61,7 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   link::PoseSample s;
   s.t_capture_ns = record.t_capture_ns;
   s.state = record.state;
-  s.map_id = record.map_id;
+  s.map_id = record.metric ? record.frame_id : record.map_id;
   s.measurements = static_cast<std::uint16_t>(std::clamp(record.features, 0, 65535));
   s.reset_counter = jumps_;
   if (!record.has_pose) {
@@ -71,8 +71,8 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
     has_last_ = false;
     return s;
   }
-  if (record.map_id != map_id_) {
-    map_id_ = record.map_id;
+  if (s.map_id != map_id_) {
+    map_id_ = s.map_id;
     fit_.clear();
     has_last_ = false;
   }
@@ -92,6 +92,7 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = covariance;
   if (record.metric) {
     s.has_scale = s.has_gravity = s.has_velocity = true;
+    s.trust = record.trust;
     s.velocity = record.velocity;
     const auto& c = record.velocity_covariance;
     s.velocity_covariance = {c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5]};

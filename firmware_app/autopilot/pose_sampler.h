@@ -30,7 +30,8 @@ class PoseSampler {
   /// neither scale nor gravity is known, and the sample says so.
   ///
   /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
-  /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts.
+  /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts; metric records
+  /// stand in a navigation frame that goes on through new maps, and its number takes that id's place.
   link::PoseSample sample(const FrameRecord& record);
 
  private:

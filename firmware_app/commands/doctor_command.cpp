@@ -7,6 +7,7 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/doctor_autopilot.h"
 #include "firmware_app/commands/doctor_detector.h"
+#include "firmware_app/commands/doctor_imu.h"
 #include "firmware_app/commands/doctor_power.h"
 #include "firmware_app/commands/doctor_service.h"
 #include "firmware_app/commands/replay_command.h"
@@ -55,7 +56,7 @@ int run_doctor(const DoctorArguments& a, const std::atomic<bool>& stop) {
   const bool known = camera.calibration.width > 0 && camera.calibration.height > 0;
   examine_detector(config, known ? camera.calibration.width : 640, known ? camera.calibration.height : 480,
                    camera.calibration.fps, &report);
-  examine_imu("/", &report);
+  examine_imu(config, "/", &report);
   examine_power("/", &report);
   examine_service("/", config, &report);
   BusHeard heard;

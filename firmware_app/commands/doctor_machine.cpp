@@ -1,10 +1,7 @@
 #include "firmware_app/commands/doctor_machine.h"
 
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 #include <poll.h>
-#include <vector>
 
 #include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/scenario_folder.h"
@@ -130,26 +127,6 @@ DoctorCamera examine_camera(const Config& config, const std::string& sequence, D
   out.camera = out.flight->camera(0);
   judge("camera (simulated, " + config.camera.scenario + ")", out.camera.get(), out.calibration, report);
   return out;
-}
-
-void examine_imu(const std::string& root, DoctorReport* report) {
-  namespace fs = std::filesystem;
-  std::vector<std::string> found;
-  std::error_code ignored;
-  for (const auto& entry : fs::directory_iterator(root + "/sys/bus/iio/devices", ignored)) {
-    std::string name;
-    std::ifstream(entry.path() / "name") >> name;
-    const bool turns = fs::exists(entry.path() / "in_anglvel_x_raw", ignored);
-    if (turns) found.push_back("IIO device " + entry.path().filename().string() + " (" + name + ")");
-  }
-  for (const auto& entry : fs::directory_iterator(root + "/dev", ignored)) {
-    const std::string name = entry.path().filename();
-    if (name.starts_with("spidev")) found.push_back("SPI port /dev/" + name);
-  }
-  std::string list;
-  for (const std::string& one : found) list += (list.empty() ? "" : ", ") + one;
-  report->note("inertial sensor: none is configured, and none is needed; this machine has " +
-               (list.empty() ? "none" : list));
 }
 
 BusHeard examine_bus(const Config& config, DoctorReport* report) {

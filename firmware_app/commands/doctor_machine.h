@@ -24,10 +24,6 @@ struct DoctorCamera {
 /// and compares size and rate with the calibration. Blocks.
 DoctorCamera examine_camera(const Config& config, const std::string& sequence, DoctorReport* report);
 
-/// Names the inertial sensors that this machine shows. Flying does not need one, so none is no mistake. root: "/", or
-/// what a test puts there.
-void examine_imu(const std::string& root, DoctorReport* report);
-
 /// Who was heard on the bus.
 struct BusHeard {
   int frames = 0;

@@ -6,6 +6,7 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/sim/flight_calibration.h"
+#include "firmware_app/sim/flight_imu.h"
 #include "firmware_app/sim/flight_writer.h"
 #include "firmware_app/sim/flown_camera.h"
 #include "hal/atomic_file.h"
@@ -25,16 +26,6 @@ rt::Result<void> write_truth(const sim::Flight& flight, const FlownCamera& camer
   if (auto r = file.open(out + "/boxes.csv"); !r) return r;
   if (auto r = file.write(camera.boxes()); !r) return r;
   return file.commit();
-}
-
-/// All that the flight's IMU measures, in times that count from the flight's start as its camera's do.
-hal::ImuRecord imu_of(const sim::Flight& flight) {
-  hal::ImuRecord record;
-  const auto imu = flight.imu(0);
-  record.rate_hz = imu->rate_hz();
-  hal::ImuSample sample;
-  while (imu->next(&sample, 0) == hal::ImuStatus::kSample) record.samples.push_back(sample);
-  return record;
 }
 
 }  // namespace
@@ -65,7 +56,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks, &time});
   std::unique_ptr<hal::ReplayImu> imu;
   if (a.run.imu != "off") {
-    imu = std::make_unique<hal::ReplayImu>(imu_of(*flight.value()), &time, a.run.pace == "real");
+    imu = std::make_unique<hal::ReplayImu>(imu_record_of(*flight.value()), &time, a.run.pace == "real");
   }
   if (camera.left() == 0)
     return refuse("--start " + std::to_string(a.run.start) + ": the flight has no more pictures than that");

@@ -88,9 +88,10 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
   command
       ->add_option(
           "--imu", a->imu,
-          "on: poses in metres, z up, once the IMU has shown both, frames before that not tracked; not with --can or "
-          "--mavlink, as the covariance is still too small (docs/inertial.md); watch: read it beside the camera and, "
-          "but for --sequential, tell when it is silent")
+          "on: poses in metres, z up, in one frame through losses and new maps, once the IMU has shown both; frames "
+          "before that not tracked (docs/inertial.md); watch: read it beside the camera and, but for --sequential, "
+          "tell "
+          "when it is silent")
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
   command
@@ -177,11 +178,13 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--can, --mavlink: an autopilot takes poses when they happen; add --pace real");
     return false;
   }
-  // Their errors come out up to four times what the covariance says (docs/inertial.md): a vehicle would trust them.
-  if (wants_link(*config) && a.imu == "on") {
-    refuse("--imu on: its covariance is still too small for an autopilot; leave --can, --mavlink out, or --imu on");
+  if (config->link.bench_metric && a.imu == "on") {
+    refuse("--bench-metric takes for metres what --imu on measures in metres: leave one of them out");
     return false;
   }
+  // What flies here is the sequence's or the scenario's own sensor, not the file's.
+  config->imu.enabled = a.imu == "on";
+  config->imu.source = a.imu == "on" ? Config::Imu::Source::kReplay : Config::Imu::Source::kNone;
   return true;
 }
 

@@ -46,8 +46,15 @@ void add_camera_device(Config* c, std::vector<Key>* to) {
 
 void add_imu(Config* c, std::vector<Key>* to) {
   using Source = Config::Imu::Source;
-  to->push_back(keys::choice<Source>(
-      "imu.source", {{"none", Source::kNone}, {"mpu6000", Source::kMpu6000}, {"iio", Source::kIio}}, &c->imu.source));
+  to->push_back(keys::choice<Source>("imu.source",
+                                     {{"none", Source::kNone},
+                                      {"mpu6000", Source::kMpu6000},
+                                      {"iio", Source::kIio},
+                                      {"replay", Source::kReplay},
+                                      {"sim", Source::kSim}},
+                                     &c->imu.source));
+  to->push_back(keys::flag("imu.enabled", &c->imu.enabled));
+  to->push_back(keys::number("imu.coast_s", 0, 10, "s", &c->imu.coast_s));
   to->push_back(keys::text("imu.device", kLongestPath, "a path or a name", &c->imu.device));
   to->push_back(keys::text("imu.accel_device", kLongestPath, "a name", &c->imu.accel_device));
   to->push_back(keys::whole("imu.rate_hz", 10, 1000, &c->imu.rate_hz));
@@ -153,6 +160,31 @@ std::vector<Key> config_keys(Config* c) {
   return out;
 }
 
+namespace {
+
+/// A recorded sensor goes with the pictures that were recorded with it.
+void check_imu_source(ConfigReport* report) {
+  using Source = Config::Imu::Source;
+  using Camera = Config::Camera::Source;
+  const Config& c = report->config;
+  const auto goes_with = [&](Source source, Camera camera, const char* name) {
+    if (c.imu.source != source || c.camera.source == camera) return;
+    report->mistake("imu.source", std::string("\"") + name + "\" is the sensor of camera.source = \"" + name +
+                                      "\"; with another camera \"mpu6000\", \"iio\" or \"none\" is allowed");
+  };
+  goes_with(Source::kReplay, Camera::kReplay, "replay");
+  goes_with(Source::kSim, Camera::kSim, "sim");
+  const bool device = c.imu.source == Source::kMpu6000 || c.imu.source == Source::kIio;
+  const bool not_now = c.camera.source == Camera::kReplay || c.camera.source == Camera::kSim;
+  if (device && not_now && c.imu.enabled) {
+    report->mistake("imu.source",
+                    "it measures what happens now, and the camera's pictures do not: nothing fits together; "
+                    "imu.enabled = false only watches it");
+  }
+}
+
+}  // namespace
+
 void check_contradictions(ConfigReport* report) {
   const Config& c = report->config;
   const auto behind_tracker = [&](const char* key, int priority) {
@@ -170,6 +202,7 @@ void check_contradictions(ConfigReport* report) {
                                                     keys::decimal(c.scheduler.deadline_ms) +
                                                     "): it would act only when it is too late; less is allowed");
   }
+  check_imu_source(report);
   check_link(report);
 }
 

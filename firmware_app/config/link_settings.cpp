@@ -105,6 +105,8 @@ link::LinkSettings link_settings(const Config& config, const std::optional<std::
   }
   odometry.world_heading_rad = config.link.world_heading_deg * M_PI / 180;
   odometry.bench_metric = config.link.bench_metric;
+  odometry.inertial = config.imu.flown_by();
+  s.link.imu_required = config.imu.flown_by();
   if (!config.link.origin.empty()) {
     s.link.mavlink.origin =
         link::mavlink::GlobalOrigin{config.link.origin[0], config.link.origin[1], config.link.origin[2]};

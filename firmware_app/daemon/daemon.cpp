@@ -10,9 +10,9 @@
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/config/version.h"
 #include "firmware_app/daemon/daemon_camera.h"
+#include "firmware_app/daemon/daemon_imu.h"
 #include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
-#include "firmware_app/flight/devices.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_log.h"
@@ -150,7 +150,9 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   }
   const hal::CameraCalibration& calibration = *camera->calibration();
   // The networks run once here, so that the first picture in flight is not the slow one.
-  auto assembled = assemble(config, calibration, {});
+  AssemblyPlan plan;
+  plan.inertial = config.imu.flown_by();
+  auto assembled = assemble(config, calibration, plan);
   if (!assembled) {
     say(assembled.error().message);
     return kExitRefused;
@@ -166,8 +168,12 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   options.machine = &machine;
   parts.plan_detector(&options);
   plan_pipeline(config, calibration.fps, &options);
-  auto imu = open_imu(config.imu, say);
+  auto imu = open_daemon_imu(config, *camera, say);
   if (!imu) return give_up(imu.error().message);
+  if (imu.value() != nullptr) {
+    say(config.imu.enabled ? "IMU: flown by; poses are in metres, z up, once it has shown both"
+                           : "IMU: watched, not flown by (imu.enabled is false)");
+  }
   options.imu = imu.value().get();
   options.heartbeats = heartbeats;
   options.abandon = abandon;
@@ -199,7 +205,7 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   const Watchdog watchdog(manager, heartbeats, config.threads.link);
   if (!watchdog.trouble().empty()) say("warning: watchdog: " + watchdog.trouble());
 
-  auto found = DaemonCamera::find(config.camera);
+  auto found = DaemonCamera::find(config.camera, imu_goes_with_camera(config));
   if (!found) return give_up(found.error().message);
   DaemonCamera& camera = found.value();
   const auto mounting = mounting_of(camera);

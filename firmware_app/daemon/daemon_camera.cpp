@@ -35,8 +35,9 @@ std::optional<hal::CameraCalibration> peek_calibration(const Config::Camera& con
 
 }  // namespace
 
-rt::Result<DaemonCamera> DaemonCamera::find(const Config::Camera& config) {
+rt::Result<DaemonCamera> DaemonCamera::find(const Config::Camera& config, bool once) {
   DaemonCamera out;
+  if (once) out.once_ = std::make_unique<hal::ReplayTime>();
   if (config.source != Config::Camera::Source::kSim) {
     out.calibration_ = peek_calibration(config);
     return out;
@@ -63,6 +64,7 @@ rt::Result<void> DaemonCamera::render(const Config::Camera& config, const Say& s
   const auto rendered = flight_->camera(0);
   LoopedPictures::Options options;
   options.interval_ns = static_cast<rt::TimeNs>(1e9 / calibration_->fps);
+  options.once = once_.get();
   say(fmt::format("rendering {} pictures of {}, seed {}", config.pictures, config.scenario, config.seed));
   auto camera = LoopedPictures::record(rendered.get(), config.pictures, options, stop);
   if (!camera) return camera.error();
@@ -74,7 +76,8 @@ rt::Result<void> DaemonCamera::replay(const Config::Camera& config, const Say& s
                                       const std::function<void()>& waiting, const std::atomic<bool>& stop) {
   hal::ReplayOptions options;
   options.pace = hal::ReplayOptions::Pace::kReal;
-  options.passes = kWithoutEnd;
+  options.passes = once_ != nullptr ? 1 : kWithoutEnd;
+  options.time = once_.get();
   std::string told;
   while (!stop.load(std::memory_order_relaxed)) {
     auto camera = hal::ReplayCamera::open(config.sequence, options);

@@ -10,6 +10,7 @@
 #include "firmware_app/config/config.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
+#include "hal/replay_time.h"
 #include "hal/rt/result.h"
 #include "hal/sim/flight.h"
 
@@ -21,7 +22,8 @@ class DaemonCamera {
   using Say = std::function<void(const std::string&)>;
 
   /// Finds out what can be known without the camera: its calibration, if it is there. Error: a scenario that is wrong.
-  static rt::Result<DaemonCamera> find(const Config::Camera& config);
+  /// once: it is flown forth only, so that what was recorded beside it goes with it.
+  static rt::Result<DaemonCamera> find(const Config::Camera& config, bool once);
 
   /// Known after find() where the recording is there, and always after open().
   const std::optional<hal::CameraCalibration>& calibration() const { return calibration_; }
@@ -32,12 +34,17 @@ class DaemonCamera {
                         const std::function<void()>& waiting, const std::atomic<bool>& stop);
 
   hal::Camera* camera() const { return camera_.get(); }
+  /// Of "sim"; null for others.
+  const sim::Flight* flight() const { return flight_.get(); }
+  /// Where the recording lies on the clock; null: it goes forth and back, or there is none.
+  const hal::ReplayTime* time() const { return once_.get(); }
 
  private:
   rt::Result<void> render(const Config::Camera& config, const Say& say, const std::atomic<bool>& stop);
   rt::Result<void> replay(const Config::Camera& config, const Say& say, const std::function<void()>& waiting,
                           const std::atomic<bool>& stop);
 
+  std::unique_ptr<hal::ReplayTime> once_;
   std::unique_ptr<sim::Flight> flight_;
   std::unique_ptr<hal::Camera> camera_;
   std::optional<hal::CameraCalibration> calibration_;

@@ -41,6 +41,14 @@ rt::Result<std::unique_ptr<DynamicMasks>> open_masks(const Config::Detector& con
 
 }  // namespace
 
+std::optional<std::array<double, 16>> inertial_mounting(const Config& config,
+                                                        const hal::CameraCalibration& calibration) {
+  if (calibration.T_body_cam || config.link.T_body_cam.size() != 16) return calibration.T_body_cam;
+  std::array<double, 16> out{};
+  std::copy(config.link.T_body_cam.begin(), config.link.T_body_cam.end(), out.begin());
+  return out;
+}
+
 void Assembly::plan_detector(PipelineOptions* options) const {
   options->detector = dynamic.get();
   if (dynamic == nullptr) return;
@@ -66,11 +74,12 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
   if (plan.sequential) odometry.mapper_delay_frames = config.pipeline.mapper_delay_frames;
   odometry.gate = config.gate.enabled;
   if (plan.inertial) {
-    if (!calibration.T_body_cam)
+    odometry.inertial_T_body_cam = inertial_mounting(config, calibration);
+    if (!odometry.inertial_T_body_cam)
       return rt::Error{
           (plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") +
           std::string("the inertial sensor cannot be used without T_body_cam: where the camera sits on it")};
-    odometry.inertial_T_body_cam = calibration.T_body_cam;
+    odometry.coast_ns = static_cast<rt::TimeNs>(config.imu.coast_s * 1e9);
   }
   MaskSource* const masks = plan.masks != nullptr ? plan.masks : out.dynamic.get();
   out.stage = make_odometry_stage(model.value(), odometry, out.pool.get(), masks, plan.view);

@@ -1,7 +1,9 @@
 // From a configuration to the parts that fly: frame slots, masks, odometry. What every program that flies shares.
 #pragma once
 
+#include <array>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "firmware_app/config/config.h"
@@ -34,6 +36,11 @@ struct Assembly {
   /// Tells the pipeline of the detector, if there is one, and the scheduler of its inputs.
   void plan_detector(PipelineOptions* options) const;
 };
+
+/// Where the camera sits on the inertial sensor's axes: as the calibration says, which was made with that sensor; or
+/// else as link.T_body_cam does. Nothing: neither says it.
+std::optional<std::array<double, 16>> inertial_mounting(const Config& config,
+                                                        const hal::CameraCalibration& calibration);
 
 /// Takes all memory, loads the networks that the configuration wants and runs each once. Error, with file or key and
 /// reason: an absurd calibration, too few frame slots, a network that is missing or broken.

@@ -163,7 +163,8 @@ rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceL
 
 rt::Result<std::unique_ptr<hal::Imu>> open_imu(const Config::Imu& config, const DeviceLog& log) {
   std::unique_ptr<hal::Imu> out;
-  if (config.source == Config::Imu::Source::kNone) return out;
+  using Source = Config::Imu::Source;
+  if (config.source != Source::kMpu6000 && config.source != Source::kIio) return out;
   const auto axes = axis_map(config);
   if (!axes) return axes.error();
   std::string trouble;
@@ -202,8 +203,13 @@ void check_devices(ConfigReport* report) {
     if (!calibration) mistake(calibration.error().message);
     const auto settings = v4l2_settings(c.camera, calibration ? calibration.value() : hal::CameraCalibration());
     if (!settings) mistake(settings.error().message);
+    if (calibration && c.imu.flown_by() && !calibration.value().T_body_cam && c.link.T_body_cam.empty()) {
+      report->mistake("imu.enabled",
+                      "neither camera.calibration nor link.T_body_cam says where the camera sits on the sensor; "
+                      "without that only false is allowed");
+    }
   }
-  if (c.imu.source == Config::Imu::Source::kNone) return;
+  if (c.imu.source != Config::Imu::Source::kMpu6000 && c.imu.source != Config::Imu::Source::kIio) return;
   const auto axes = axis_map(c.imu);
   if (!axes) return mistake(axes.error().message);
   if (c.imu.source != Config::Imu::Source::kMpu6000) return;

@@ -36,7 +36,7 @@ rt::Result<OpenedCamera> open_camera(const Config::Camera& config, const DeviceL
 rt::Result<std::unique_ptr<hal::Camera>> open_camera_of_size(const Config::Camera& config, int width, int height,
                                                              const rt::ThreadPlan& feeder, const DeviceLog& log);
 
-/// The inertial sensor; null where imu.source is "none". As above.
+/// The inertial sensor; null where imu.source is no device. As above.
 rt::Result<std::unique_ptr<hal::Imu>> open_imu(const Config::Imu& config, const DeviceLog& log);
 
 /// Adds to *report what is wrong with the keys of devices, without touching one. Reads the calibration.

@@ -11,6 +11,10 @@ constexpr double kMaxPosition = 1e5;
 constexpr double kMaxVelocity = 300;
 constexpr double kMaxRate = 100;
 constexpr double kMinVariance = 1e-8;
+/// One sigma, an axis, that alone halves the quality.
+constexpr double kHalfPosition = 3;            // [m]
+constexpr double kHalfAngle = 5 * M_PI / 180;  // [rad]
+constexpr double kHalfVelocity = 0.5;          // [m/s]
 
 Eigen::Matrix3d skew(const Eigen::Vector3d& v) {
   return Eigen::Matrix3d{{0, -v.z(), v.y()}, {v.z(), 0, -v.x()}, {-v.y(), v.x(), 0}};
@@ -59,8 +63,12 @@ float to_float(double value) {
 }  // namespace
 
 std::int8_t pose_quality(const PoseSample& s) {
-  const double sigma2 = (s.covariance[0] + s.covariance[7] + s.covariance[14]) / 3;
-  double quality = 100 * std::min(1.0, s.measurements / 100.0) / (1 + std::max(0.0, sigma2) / 0.25);
+  const auto mean = [](double a, double b, double c) { return std::max(0.0, (a + b + c) / 3); };
+  const double position = mean(s.covariance[0], s.covariance[7], s.covariance[14]) / (kHalfPosition * kHalfPosition);
+  const double angle = mean(s.covariance[21], s.covariance[28], s.covariance[35]) / (kHalfAngle * kHalfAngle);
+  const double velocity = mean(s.velocity_covariance[0], s.velocity_covariance[4], s.velocity_covariance[8]) /
+                          (kHalfVelocity * kHalfVelocity);
+  double quality = 100 * s.trust / (1 + position + angle + velocity);
   if (s.state == PoseState::kCoasting) quality *= 0.5;
   return static_cast<std::int8_t>(std::clamp(std::lround(std::isfinite(quality) ? quality : 0.0), 1L, 100L));
 }

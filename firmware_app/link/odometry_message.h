@@ -51,8 +51,9 @@ constexpr double kUnknownAngleVariance = 9.87;
 /// and neutral fields, with a sigma nobody would fuse (100 m); PoseHold makes of them what is sent. No allocation.
 BodyPose body_pose(const PoseSample& sample, const OdometryConfig& config);
 
-/// 1 to 100 for a usable pose: full at 100 measurements and a position sigma far below 0.5 m, at most 50 while
-/// coasting.
+/// 1 to 100 for a usable pose: 100 / (1 + (position / 3 m)^2 + (angle / 5 deg)^2 + (velocity / 0.5 m/s)^2) of the
+/// sigmas of an axis (root mean square of the three), times the sample's trust, half of it while coasting. It falls as
+/// any variance grows (docs/navigation.md).
 std::int8_t pose_quality(const PoseSample& sample);
 
 /// The message. time_usec is the capture time on our clock; the autopilot maps it by TIMESYNC or by the smallest delay.

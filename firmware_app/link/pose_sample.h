@@ -23,8 +23,9 @@ struct PoseSample {
   bool has_gravity = false;
   bool has_velocity = true;        ///< false: the pose stands alone, nobody knows yet how it moves
   std::uint8_t reset_counter = 0;  ///< counts the jumps of the pose in this run; any change is passed on
-  std::uint32_t map_id = 0;
+  std::uint32_t map_id = 0;        ///< poses of one number stand in one frame; another one is a reset
   std::uint16_t measurements = 0;  ///< image measurements that updated this pose
+  double trust = 1;                ///< 0 to 1: whether what measures it agrees over time
 
   std::array<double, 3> position{};               ///< of the camera in the world [m]
   std::array<double, 4> orientation{1, 0, 0, 0};  ///< w x y z, camera to world

@@ -121,6 +121,9 @@ struct FrameRecord {
   /// velocity is known. own_covariance, the pose relative to the reference keyframe with its covariance, and
   /// median_depth stay in map units: they are what vision saw, and whoever reads them needs no metres.
   bool metric = false;
+  /// metric: another number is another navigation frame, whose places cannot be compared with those before.
+  std::uint32_t frame_id = 0;
+  double trust = 1;                             ///< metric: whether vision and inertial sensor agree over time, 0 to 1
   std::array<double, 3> velocity{};             ///< of the camera along the frame's axes [m/s]
   std::array<double, 6> velocity_covariance{};  ///< upper triangle by rows
   InertialRecord inertial;

@@ -1,6 +1,7 @@
 #include "firmware_app/pipeline/inertial_poses.h"
 
 #include <Eigen/Geometry>
+#include <cmath>
 
 namespace godwit::app {
 namespace {
@@ -9,6 +10,16 @@ namespace {
 /// mrad RMS, but 3 mrad for a while where mounting and time offset had not settled; with 1 and with 3 mrad the start at
 /// frame 135 lost its pose there, with 5 none did.
 constexpr double kTurnSigmaRad = 5e-3;
+
+/// No sensor that flies measures more.
+constexpr double kMostRate = 100;    // [rad/s]
+constexpr double kMostForce = 1000;  // [m/s^2]
+
+/// All of vision's numbers that are used are numbers.
+bool finite(const vo::FrameResult& r) {
+  return r.T_world_cam.R.allFinite() && r.T_world_cam.t.allFinite() && r.covariance.allFinite() &&
+         std::isfinite(r.median_depth) && r.moved_by.allFinite() && r.turned_by.allFinite();
+}
 
 vo::CameraMounting mounting_of(const std::array<double, 16>& T) {
   vo::CameraMounting out;
@@ -23,13 +34,48 @@ vo::CameraMounting mounting_of(const std::array<double, 16>& T) {
   return out;
 }
 
+vo::NavigationOptions navigation_options(rt::TimeNs coast_ns) {
+  vo::NavigationOptions out;
+  out.coast_ns = coast_ns;
+  return out;
+}
+
+/// What the smoother knows of the sensor goes with the pose, so that dead reckoning begins with it.
+vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::MetricPose& pose) {
+  using S = vo::InertialState;
+  vo::MetricMoment m;
+  m.child_id = odometry.begun();
+  m.T_child_cam = pose.T_nav_cam;
+  m.velocity_m_s = pose.velocity_m_s;
+  m.covariance = pose.covariance;
+  m.velocity_covariance = pose.velocity_covariance;
+  m.moved_by_m = pose.moved_by_m;
+  m.turned_by_rad = pose.turned_by_rad;
+  const S& x = odometry.smoother().newest();
+  const auto variances = odometry.smoother().covariance().diagonal();
+  m.bias = x.bias;
+  m.gyro_bias_sigma = std::sqrt(variances.segment<3>(S::kGyroBias).maxCoeff());
+  m.accel_bias_sigma = std::sqrt(variances.segment<3>(S::kAccelBias).maxCoeff());
+  m.R_body_cam = odometry.smoother().mounting().R_body_cam * vo::so3_exp(x.mounting);
+  m.time_offset_s = x.time_offset_s;
+  return m;
+}
+
 }  // namespace
 
-InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam)
-    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam))) {}
+InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns)
+    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam))),
+      navigation_(
+          std::make_unique<vo::NavigationFrame>(mounting_of(T_body_cam).t_body_cam_m, navigation_options(coast_ns))),
+      coast_ns_(coast_ns) {}
 
 void InertialPoses::take(const hal::ImuSample& s) {
-  odometry_->add({s.t_ns, Eigen::Vector3d(s.gyro_rad_s.data()), Eigen::Vector3d(s.accel_m_s2.data())});
+  const vo::ImuReading reading{s.t_ns, Eigen::Vector3d(s.gyro_rad_s.data()), Eigen::Vector3d(s.accel_m_s2.data())};
+  const bool possible =
+      reading.gyro_rad_s.cwiseAbs().maxCoeff() <= kMostRate && reading.accel_m_s2.cwiseAbs().maxCoeff() <= kMostForce;
+  if (!possible || !reading.gyro_rad_s.allFinite() || !reading.accel_m_s2.allFinite()) return;
+  odometry_->add(reading);
+  navigation_->add(reading);
 }
 
 vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
@@ -39,10 +85,12 @@ vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
 }
 
 void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, FrameRecord* record) {
+  // Nothing was measured, and what was told stands.
+  if (result.repeated) return;
   t_last_ns_ = t_ns;
   vo::VisualPose seen;
   seen.t_ns = t_ns;
-  seen.tracked = result.tracked;
+  seen.tracked = result.tracked && finite(result);
   seen.map_id = result.map_id;
   seen.T_map_cam = result.T_world_cam;
   seen.covariance = result.covariance;
@@ -50,33 +98,56 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.map_moved = result.map_moved;
   seen.moved_by = result.moved_by;
   seen.turned_by = result.turned_by;
-  const vo::MetricPose pose = odometry_->frame(seen);
-  if (!pose.valid) {
-    if (record->has_pose) {
-      record->tracked = record->has_pose = false;
-      record->state = vo::State::kInitialising;
-      const auto& why = odometry_->refusal();
-      const char* const text = why.text[0] != '\0' ? why.text : "waiting for motion that shows scale and vertical";
-      // In thousandths: a reason's figures are whole numbers.
-      record->why = {text, measured_figure(1000 * why.value), measured_figure(1000 * why.limit)};
-      record->reason.assign_measured(text, record->why.value, record->why.limit);
-    }
+  const vo::MetricPose metric = odometry_->frame(seen);
+  vo::MetricMoment moment;
+  if (metric.valid) moment = moment_of(*odometry_, metric);
+  const vo::NavigationPose pose = navigation_->frame(t_ns, metric.valid ? &moment : nullptr);
+  using Source = vo::NavigationPose::Source;
+  if (pose.source == Source::kSeen) {
+    tell_sensor(metric.log_scale_sigma);
+    fill(pose, record);
     return;
   }
+  const bool seen_without_metres = record->has_pose;
+  record->tracked = record->has_pose = false;
+  if (pose.source == Source::kCoasted) {
+    fill(pose, record);
+    record->has_pose = true;
+    record->state = vo::State::kCoasting;
+    record->why = {"by the inertial sensor alone [ms]", static_cast<std::int32_t>(pose.unseen_ns / rt::kNsPerMs),
+                   static_cast<std::int32_t>(coast_ns_ / rt::kNsPerMs)};
+    record->reason.assign_measured(record->why.text, record->why.value, record->why.limit);
+  } else if (seen_without_metres) {
+    record->state = vo::State::kInitialising;
+    const auto& why = odometry_->refusal();
+    const char* const text = why.text[0] != '\0' ? why.text : "waiting for motion that shows scale and vertical";
+    // In thousandths: a reason's figures are whole numbers.
+    record->why = {text, measured_figure(1000 * why.value), measured_figure(1000 * why.limit)};
+    record->reason.assign_measured(text, record->why.value, record->why.limit);
+  }
+}
+
+void InertialPoses::tell_sensor(double log_scale_sigma) {
+  const vo::InertialState& x = odometry_->smoother().newest();
+  sensor_.log_scale_sigma = log_scale_sigma;
+  Eigen::Map<Eigen::Vector3d>(sensor_.gyro_bias.data()) = x.bias.gyro;
+  Eigen::Map<Eigen::Vector3d>(sensor_.accel_bias.data()) = x.bias.accel;
+  Eigen::Map<Eigen::Vector3d>(sensor_.mounting.data()) = x.mounting;
+  sensor_.time_offset_s = x.time_offset_s;
+}
+
+void InertialPoses::fill(const vo::NavigationPose& pose, FrameRecord* record) const {
   record->metric = true;
+  record->inertial = sensor_;
+  record->frame_id = pose.frame_id;
+  record->trust = pose.trust;
   const Eigen::Quaterniond q = pose.T_nav_cam.quaternion();
   record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
   Eigen::Map<Eigen::Vector3d>(record->t_world_cam.data()) = pose.T_nav_cam.t;
   Eigen::Map<Eigen::Vector3d>(record->velocity.data()) = pose.velocity_m_s;
   Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = pose.moved_by_m;
   Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = pose.turned_by_rad;
-  record->map_moved = result.map_moved || pose.moved_by_m.squaredNorm() > 0;
-  const vo::InertialState& x = odometry_->smoother().newest();
-  record->inertial.log_scale_sigma = pose.log_scale_sigma;
-  Eigen::Map<Eigen::Vector3d>(record->inertial.gyro_bias.data()) = x.bias.gyro;
-  Eigen::Map<Eigen::Vector3d>(record->inertial.accel_bias.data()) = x.bias.accel;
-  Eigen::Map<Eigen::Vector3d>(record->inertial.mounting.data()) = x.mounting;
-  record->inertial.time_offset_s = x.time_offset_s;
+  record->map_moved = pose.moved_by_m.squaredNorm() + pose.turned_by_rad.squaredNorm() > 0;
   // The record's covariance is along the camera's axes (see autopilot/pose_sampler.cpp).
   vo::Mat6 to_cam = vo::Mat6::Zero();
   to_cam.topLeftCorner<3, 3>() = to_cam.bottomRightCorner<3, 3>() = pose.T_nav_cam.R.transpose();

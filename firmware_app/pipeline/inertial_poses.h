@@ -1,4 +1,5 @@
-// The tracker's poses made metric and level by the inertial sensor, as the pipeline's records have them.
+// The tracker's poses made metric and level by the inertial sensor and hung into one navigation frame, as the
+// pipeline's records have them.
 #pragma once
 
 #include <array>
@@ -7,6 +8,7 @@
 #include "firmware_app/pipeline/frame_record.h"
 #include "hal/imu/imu.h"
 #include "vo_core/inertial_odometry.h"
+#include "vo_core/navigation_frame.h"
 #include "vo_core/tracker.h"
 
 namespace godwit::app {
@@ -15,18 +17,26 @@ namespace godwit::app {
 class InertialPoses {
  public:
   /// Row by row: camera points into the body, whose axes the sensor's readings have.
-  explicit InertialPoses(const std::array<double, 16>& T_body_cam);
+  /// coast_ns: how long a pose may come from that sensor alone.
+  InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns);
 
   void take(const hal::ImuSample& sample);
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
   /// bias is not known. Before the frame at t_ns is tracked.
   vo::RotationPrior turn_since_last(rt::TimeNs t_ns) const;
-  /// After it: the record's pose becomes that of the navigation frame. While scale and vertical are not known the frame
-  /// does not count as tracked, and the record says what is waited for.
+  /// After it: the record's pose becomes that of the navigation frame. Where the picture gives none, or none with scale
+  /// and vertical, the frame does not count as tracked: the pose is the inertial sensor's for a while, and then the
+  /// record says what is waited for. Nothing of what vision knows is rescaled or turned.
   void make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, FrameRecord* record);
 
  private:
+  void tell_sensor(double log_scale_sigma);
+  void fill(const vo::NavigationPose& pose, FrameRecord* record) const;
+
   std::unique_ptr<vo::InertialOdometry> odometry_;
+  std::unique_ptr<vo::NavigationFrame> navigation_;
+  const rt::TimeNs coast_ns_;
+  InertialRecord sensor_;  ///< as known with the last picture that gave a metric pose
   rt::TimeNs t_last_ns_ = 0;
 };
 

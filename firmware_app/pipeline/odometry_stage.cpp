@@ -41,7 +41,9 @@ class OdometryStage final : public FrameStage {
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
         mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, keyframe_slots(*pool)), channel_.get())),
         exchange_(masks, tracker_.get()) {
-    if (options.inertial_T_body_cam) inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam);
+    if (options.inertial_T_body_cam) {
+      inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns);
+    }
   }
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {

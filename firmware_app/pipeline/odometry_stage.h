@@ -25,6 +25,7 @@ struct OdometryOptions {
   /// Use the inertial sensor: poses are then metric and level, and only frames with such a pose count as tracked.
   /// Row by row; maps camera points into the body, whose axes the sensor's readings have.
   std::optional<std::array<double, 16>> inertial_T_body_cam;
+  rt::TimeNs coast_ns = 2 * rt::kNsPerSecond;  ///< how long a pose may come from the inertial sensor alone
 };
 
 /// What the odometry must know of this camera beside its model: the rolling shutter.

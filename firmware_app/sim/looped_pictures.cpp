@@ -22,7 +22,9 @@ rt::Result<std::unique_ptr<LoopedPictures>> LoopedPictures::record(hal::Camera* 
                                     source->width(), source->height(), source->width()};
     hal::CapturedFrame frame;
     status = source->next(grey, nullptr, rt::kNsPerSecond, &frame, nullptr);
-    if (status == hal::CameraStatus::kFrame) ++out->count_;
+    if (status != hal::CameraStatus::kFrame) continue;
+    out->times_.push_back(frame.t_capture_ns);
+    ++out->count_;
   }
   if (out->count_ < 2) {
     return rt::Error{"the source has " + std::to_string(out->count_) + " pictures; a flight needs two at least"};
@@ -34,14 +36,21 @@ std::unique_ptr<LoopedPictures> LoopedPictures::again(const Options& options) co
   std::unique_ptr<LoopedPictures> out(new LoopedPictures(width_, height_, options));
   out->pixels_ = pixels_;
   out->count_ = count_;
+  out->times_ = times_;
   return out;
 }
 
 hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::uint8_t* /*bgr*/, rt::TimeNs timeout_ns,
                                        hal::CapturedFrame* frame, std::string* /*why*/) {
   if (options_.total > 0 && next_ >= options_.total) return hal::CameraStatus::kEnd;
-  if (start_ns_ == 0) start_ns_ = options_.real_pace ? rt::monotonic_now_ns() + options_.interval_ns : rt::kNsPerSecond;
-  const rt::TimeNs due = start_ns_ + next_ * options_.interval_ns;
+  if (options_.once != nullptr && next_ >= count_) return hal::CameraStatus::kEnd;
+  if (start_ns_ == 0) {
+    start_ns_ = options_.real_pace ? rt::monotonic_now_ns() + options_.interval_ns : rt::kNsPerSecond;
+    if (options_.once != nullptr) options_.once->pin(times_.front(), start_ns_);
+  }
+  const rt::TimeNs due =
+      start_ns_ + (options_.once != nullptr ? times_[static_cast<std::size_t>(next_)] - times_.front()
+                                            : next_ * options_.interval_ns);
   if (options_.real_pace) {
     const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
     const rt::TimeNs delivery = due + options_.delivery_ns;

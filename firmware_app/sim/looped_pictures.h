@@ -7,11 +7,12 @@
 #include <vector>
 
 #include "hal/camera/camera.h"
+#include "hal/replay_time.h"
 
 namespace godwit::app {
 
 /// Real-time: next() copies a picture and, at real pace, sleeps until it is due. Capture times go on in even steps,
-/// also where the flight turns, so the turn is no jump. One thread.
+/// also where the flight turns, so the turn is no jump (but see Options::once). One thread.
 class LoopedPictures final : public hal::Camera {
  public:
   struct Options {
@@ -20,6 +21,9 @@ class LoopedPictures final : public hal::Camera {
     bool real_pace = true;                ///< next() returns when the picture is due; false: at once
     /// Real pace: a picture is delivered so long after its capture time, as exposure, readout and transfer take.
     rt::TimeNs delivery_ns = 0;
+    /// Not forth and back but once, forth, in the steps that the source had: for a camera beside which something else
+    /// was recorded. Told where the first picture lies on the clock; outlives the camera. Null: forth and back.
+    hal::ReplayTime* once = nullptr;
   };
 
   /// Takes up to `pictures` pictures from the source, leaving bad ones out. Error: fewer than two came, or stopped.
@@ -44,6 +48,7 @@ class LoopedPictures final : public hal::Camera {
   const int width_, height_;
   const Options options_;
   std::shared_ptr<std::vector<std::uint8_t>> pixels_;  ///< one picture after the other, without padding
+  std::vector<rt::TimeNs> times_;                      ///< of each picture, as the source had them
   int count_ = 0;
   std::int64_t next_ = 0;
   rt::TimeNs start_ns_ = 0;  ///< capture time of picture 0

@@ -113,6 +113,33 @@ TEST(Config, TheNetworkAndTheGate) {
                           "c.toml:7: gate.enabled: true or false is allowed"));
 }
 
+TEST(Config, TheInertialSensorIsFlownByWhereThereIsOne) {
+  const Config none;
+  EXPECT_TRUE(none.imu.enabled);
+  EXPECT_FALSE(none.imu.flown_by()) << "there is none";
+  const auto sensor = [](const std::string& camera, const std::string& imu) {
+    return parse_config("[camera]\nsource = \"" + camera + "\"\n[imu]\n" + imu, "c.toml");
+  };
+  for (const auto& [camera, imu] : {std::pair("v4l2", "mpu6000"), std::pair("v4l2", "iio"),
+                                    std::pair("replay", "replay"), std::pair("sim", "sim")}) {
+    const ConfigReport good = sensor(camera, std::string("source = \"") + imu + "\"\ncoast_s = 0.5\n");
+    ASSERT_TRUE(good.ok()) << good.mistakes[0];
+    EXPECT_TRUE(good.config.imu.flown_by());
+    EXPECT_EQ(good.config.imu.coast_s, 0.5);
+  }
+  EXPECT_FALSE(sensor("v4l2", "source = \"iio\"\nenabled = false\n").config.imu.flown_by());
+  EXPECT_THAT(sensor("v4l2", "source = \"sim\"\n").mistakes,
+              ElementsAre("c.toml:4: imu.source: \"sim\" is the sensor of camera.source = \"sim\"; with another camera "
+                          "\"mpu6000\", \"iio\" or \"none\" is allowed"));
+  EXPECT_THAT(sensor("sim", "source = \"replay\"\n").mistakes, SizeIs(1));
+  EXPECT_THAT(sensor("replay", "source = \"iio\"\n").mistakes,
+              ElementsAre(HasSubstr("c.toml:4: imu.source: it measures what happens now")));
+  EXPECT_TRUE(sensor("replay", "source = \"iio\"\nenabled = false\n").ok()) << "to be watched it may";
+  EXPECT_THAT(parse_config("[imu]\nenabled = 1\ncoast_s = 11\n", "c.toml").mistakes,
+              ElementsAre("c.toml:2: imu.enabled: true or false is allowed",
+                          "c.toml:3: imu.coast_s: a number from 0 to 10 [s] is allowed"));
+}
+
 TEST(Config, AKeyInTheWrongSectionIsToldItsPlace) {
   EXPECT_THAT(parse_config("mapper_delay_frames = 2\n", "c.toml").mistakes,
               ElementsAre(HasSubstr("c.toml:1: mapper_delay_frames: unknown key; did you mean "

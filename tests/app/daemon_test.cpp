@@ -155,6 +155,22 @@ TEST(Godwitd, SigtermEndsItCleanlyWithinHalfASecond) {
   EXPECT_LT(best, 500 * rt::kNsPerMs);
 }
 
+TEST(Godwitd, TheScenariosInertialSensorIsFlownByOnceForthAndTheFlightEnds) {
+  const test::TempFolder folder;
+  const std::string camera = "[camera]\nsource = \"sim\"\nscenario = \"corridor\"\nscenarios = \"" GODWIT_SCENARIO_DIR
+                             "\"\npictures = 12\n[detector]\nenabled = false\n";
+  for (const bool enabled : {true, false}) {
+    Daemon daemon(
+        write_config(folder, camera + "[imu]\nsource = \"sim\"\nenabled = " + (enabled ? "true" : "false") + "\n"));
+    ASSERT_TRUE(daemon.says(enabled ? "IMU: flown by" : "IMU: watched, not flown by")) << daemon.all();
+    ASSERT_TRUE(daemon.says("12 frames, ")) << "not forth and back: " << daemon.all();
+    ASSERT_TRUE(daemon.says("IMU: ")) << daemon.all();
+    EXPECT_THAT(daemon.all(), Not(HasSubstr("IMU: 0 samples")));
+    rt::TimeNs took = 0;
+    EXPECT_EQ(daemon.end(0, &took), 0);
+  }
+}
+
 TEST(Godwitd, NobodyReadsTheLogAndItFliesOn) {
   const test::TempFolder folder;
   Daemon daemon(write_config(folder, kSmallFlight + "[can]\nbus = \"multicast:9:127.0.0.1\"\nnode_id = 43\n"));

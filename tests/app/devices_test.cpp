@@ -77,6 +77,13 @@ TEST(Devices, MistakesNameTheirKeyAndLine) {
   test::write_file(folder / "camera.yaml", kCalibration);
   const std::string good = "[camera]\nsource = \"v4l2\"\ncalibration = \"" + (folder / "camera.yaml") + "\"\n";
   EXPECT_EQ(mistakes(good), "");
+  EXPECT_THAT(mistakes(good + "[imu]\nsource = \"iio\"\n"),
+              HasSubstr("c.toml: imu.enabled: neither camera.calibration nor link.T_body_cam says where"));
+  EXPECT_EQ(mistakes(good + "[imu]\nsource = \"iio\"\nenabled = false\n"), "");
+  EXPECT_EQ(
+      mistakes(good +
+               "[imu]\nsource = \"iio\"\n[link]\nT_body_cam = [0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1]\n"),
+      "");
   EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\n"), HasSubstr("camera.calibration: a camera without one"));
   EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\ncalibration = \"/none\"\n"),
               HasSubstr("c.toml:3: camera.calibration: /none"));

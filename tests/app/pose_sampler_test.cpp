@@ -105,6 +105,29 @@ TEST(PoseSampler, AMetricRecordIsPassedOnAsItIs) {
   EXPECT_FALSE(sampler.sample(record_at(1, cruise(0.3))).has_scale);
 }
 
+TEST(PoseSampler, AMetricFrameGoesOnThroughMapsAndCoastingAndOnlyItsOwnEndIsAReset) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  const auto at = [&](int frame, std::uint32_t map_id, std::uint32_t frame_id, vo::State state) {
+    FrameRecord r = record_at(frame, cruise(frame / 30.0));
+    r.metric = true;
+    r.map_id = map_id;
+    r.frame_id = frame_id;
+    r.state = state;
+    r.tracked = state == vo::State::kTracking;
+    return sampler.sample(r);
+  };
+  const link::PoseSample first = at(0, 1, 1, vo::State::kTracking);
+  const link::PoseSample coasted = at(1, 1, 1, vo::State::kCoasting);
+  EXPECT_EQ(coasted.state, link::PoseState::kCoasting);
+  EXPECT_TRUE(coasted.has_scale && coasted.has_gravity);
+  EXPECT_GT(vec(coasted.angular_velocity).norm(), 0.1) << "and turn rates go on";
+  const link::PoseSample other_map = at(2, 2, 1, vo::State::kTracking);
+  EXPECT_EQ(other_map.map_id, first.map_id) << "the frame is the same";
+  EXPECT_EQ(other_map.reset_counter, first.reset_counter);
+  EXPECT_GT(vec(other_map.angular_velocity).norm(), 0.1);
+  EXPECT_NE(at(3, 2, 2, vo::State::kTracking).map_id, first.map_id);
+}
+
 // The camera moves along its own axes: what of it is front, right and down of the body.
 TEST(PoseSampler, MovesOfTheCameraAreMovesOfTheBody) {
   PoseSampler sampler(world_of_level_start(mounting()));

@@ -196,20 +196,42 @@ TEST(BodyPose, CovarianceIsAlwaysOneAnEstimatorCanTake) {
   }
 }
 
-TEST(BodyPose, QualityFallsWithFewMeasurementsLargeSigmaAndCoasting) {
+TEST(BodyPose, QualityIsHalvedByTheSigmasThatAreDocumentedAndByCoasting) {
   PoseSample s;
   s.state = PoseState::kTracking;
-  s.measurements = 200;
   EXPECT_EQ(pose_quality(s), 100);
-  s.measurements = 30;
-  EXPECT_EQ(pose_quality(s), 30);
-  for (std::size_t i = 0; i < 3; ++i) s.covariance[7 * i] = 0.25;
-  EXPECT_EQ(pose_quality(s), 15);
-  s.measurements = 200;
+  for (std::size_t i = 0; i < 3; ++i) s.covariance[7 * i] = 3 * 3;
+  EXPECT_EQ(pose_quality(s), 50);
   s.state = PoseState::kCoasting;
   EXPECT_EQ(pose_quality(s), 25);
-  s.measurements = 0;
+  s.covariance = {};
+  EXPECT_EQ(pose_quality(s), 50);
+  s.state = PoseState::kTracking;
+  for (std::size_t i = 3; i < 6; ++i) s.covariance[7 * i] = std::pow(5 * M_PI / 180, 2);
+  EXPECT_EQ(pose_quality(s), 50);
+  s.covariance = {};
+  for (std::size_t i = 0; i < 3; ++i) s.velocity_covariance[4 * i] = 0.5 * 0.5;
+  EXPECT_EQ(pose_quality(s), 50);
+  for (std::size_t i = 0; i < 3; ++i) s.covariance[7 * i] = 1e9;
   EXPECT_EQ(pose_quality(s), 1);
+}
+
+TEST(BodyPose, QualityNeverRisesAsAnyVarianceGrows) {
+  Random random;
+  for (int i = 0; i < 200; ++i) {
+    PoseSample s = random_sample(random);
+    for (std::size_t k = 0; k < 9; ++k) {
+      PoseSample worse = s;
+      double* const c = k < 6 ? &worse.covariance[7 * k] : &worse.velocity_covariance[4 * (k - 6)];
+      std::int8_t last = pose_quality(worse);
+      for (int step = 0; step < 20; ++step) {
+        *c = 1.5 * *c + 1e-4;
+        ASSERT_LE(pose_quality(worse), last) << k;
+        last = pose_quality(worse);
+        ASSERT_GE(last, 1);
+      }
+    }
+  }
 }
 
 TEST(OdometryMessage, FillsTheFieldsTheProfilesWant) {

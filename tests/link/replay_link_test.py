@@ -36,10 +36,10 @@ CONFIG = "[link]\nT_body_cam = [%s, 0, 0, 0, 1]\n" % ", ".join(
     "%.17g" % x for row, t in zip(R_BODY_CAM, ARM) for x in (*row, t))
 
 
-def black_png(width, height):
+def black_png(width, height, shade=0):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    rows = zlib.compress((b"\0" + b"\0" * width) * height)
+    rows = zlib.compress((b"\0" + bytes([shade]) * width) * height)
     return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)) +
             chunk(b"IDAT", rows) + chunk(b"IEND", b""))
 

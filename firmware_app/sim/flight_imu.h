@@ -1,0 +1,12 @@
+// The readings that a simulated flight's inertial sensor would have left on file.
+#pragma once
+
+#include "hal/imu/replay/imu_record.h"
+#include "hal/sim/flight.h"
+
+namespace godwit::app {
+
+/// All that it measures, in times that count from the flight's start as its camera's do.
+hal::ImuRecord imu_record_of(const sim::Flight& flight);
+
+}  // namespace godwit::app

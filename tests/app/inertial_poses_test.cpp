@@ -1,0 +1,214 @@
+// What the pipeline's records hold where an inertial sensor is flown by: one frame in metres, vision's own left as it
+// was.
+#include "firmware_app/pipeline/inertial_poses.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <gtest/gtest.h>
+#include <limits>
+#include <string>
+
+#include "tests/vo_core/inertial_flight.h"
+
+namespace godwit::app {
+namespace {
+
+using vo::Mat3;
+using vo::Mat6;
+using vo::Vec3;
+
+/// A flight through vision's eyes, as the tracker tells of it, 20 pictures a second.
+class Flown {
+ public:
+  explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond)
+      : flight_(1.0, seed), poses_(mounting(), coast_ns) {}
+
+  FrameRecord frame(int k) {
+    for (int i = 1; i <= 10; ++i) {
+      vo::ImuReading r = flight_.reading(k / 20.0 - 0.05 + i / 200.0);
+      r.gyro_rad_s += flight_.model_.imu.gyro * std::sqrt(200.0) * flight_.random();
+      r.accel_m_s2 += flight_.model_.imu.accel * std::sqrt(200.0) * flight_.random();
+      hal::ImuSample s;
+      s.t_ns = r.t_ns;
+      Eigen::Map<Vec3>(s.gyro_rad_s.data()) = r.gyro_rad_s;
+      Eigen::Map<Vec3>(s.accel_m_s2.data()) = r.accel_m_s2;
+      if (spoil_sample_) spoil_sample_(&s);
+      poses_.take(s);
+    }
+    const vo::InertialNode seen = flight_.node(k, {});
+    vo::FrameResult result;
+    result.tracked = tracked_;
+    result.state = tracked_ ? vo::State::kTracking : vo::State::kRelocalising;
+    result.map_id = map_id_;
+    result.T_world_cam = {seen.sight.R_map_cam, seen.sight.camera};
+    result.covariance = 1e-9 * Mat6::Identity();
+    result.median_depth = 1;
+    if (spoil_result_) spoil_result_(&result);
+    FrameRecord record = as_vision_has_it(result);
+    poses_.make_metric(result, seen.t_ns, &record);
+    return record;
+  }
+  /// The record before it is made metric.
+  static FrameRecord as_vision_has_it(const vo::FrameResult& result) {
+    FrameRecord r;
+    r.tracked = r.has_pose = result.tracked;
+    r.state = result.state;
+    r.map_id = result.map_id;
+    r.features = 77;
+    r.own_covariance.fill(0.25);
+    r.reference_covariance.fill(0.5);
+    r.reference_id = 9;
+    r.t_ref_cam = {1, 2, 3};
+    r.q_ref_cam = {0, 0, 0, 1};
+    r.median_depth = 4.5;
+    return r;
+  }
+  Vec3 camera(int k) const {
+    const double t = k / 20.0;
+    return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m;
+  }
+
+  vo::test::Flight flight_;
+  InertialPoses poses_;
+  bool tracked_ = true;
+  std::uint32_t map_id_ = 1;
+  std::function<void(hal::ImuSample*)> spoil_sample_;
+  std::function<void(vo::FrameResult*)> spoil_result_;
+
+ private:
+  std::array<double, 16> mounting() const {
+    std::array<double, 16> T{};
+    Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> M(T.data());
+    M.setIdentity();
+    M.topLeftCorner<3, 3>() = flight_.mounting_.R_body_cam;
+    M.topRightCorner<3, 1>() = flight_.mounting_.t_body_cam_m;
+    return T;
+  }
+};
+
+bool finite(const FrameRecord& r) {
+  const auto all = [](const auto& values) {
+    return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
+  };
+  return all(r.t_world_cam) && all(r.q_world_cam) && all(r.covariance) && all(r.velocity) &&
+         all(r.velocity_covariance) && all(r.moved_by) && all(r.turned_by);
+}
+
+TEST(InertialPoses, NothingThatVisionKnowsIsRescaledOrTurned) {
+  Flown f(1);
+  const FrameRecord before = Flown::as_vision_has_it({});
+  int metric = 0;
+  for (int k = 0; k < 100; ++k) {
+    const FrameRecord r = f.frame(k);
+    EXPECT_EQ(r.own_covariance, before.own_covariance);
+    EXPECT_EQ(r.reference_covariance, before.reference_covariance);
+    EXPECT_EQ(r.reference_id, before.reference_id);
+    EXPECT_EQ(r.t_ref_cam, before.t_ref_cam);
+    EXPECT_EQ(r.q_ref_cam, before.q_ref_cam);
+    EXPECT_EQ(r.median_depth, before.median_depth);
+    EXPECT_EQ(r.features, before.features);
+    EXPECT_EQ(r.map_id, 1u);
+    EXPECT_EQ(r.metric, r.has_pose) << "without metres there is no pose";
+    EXPECT_EQ(r.frame_id, r.metric ? 1u : 0u);
+    metric += r.metric ? 1 : 0;
+  }
+  EXPECT_GT(metric, 50);
+}
+
+TEST(InertialPoses, ALossIsCoastedForTheTimeConfiguredAndThenNothingIsTold) {
+  Flown f(2, rt::kNsPerSecond);
+  for (int k = 0; k < 80; ++k) f.frame(k);
+  f.tracked_ = false;
+  for (int k = 80; k < 120; ++k) {
+    const FrameRecord r = f.frame(k);
+    EXPECT_FALSE(r.tracked) << "no picture updated it";
+    EXPECT_EQ(r.has_pose, k < 100) << k;
+    EXPECT_EQ(r.metric, r.has_pose);
+    EXPECT_EQ(r.state, k < 100 ? vo::State::kCoasting : vo::State::kRelocalising);
+    if (k < 100) {
+      EXPECT_NE(std::string(r.reason.view()).find("inertial sensor alone"), std::string::npos);
+      EXPECT_EQ(r.why.limit, 1000);
+    }
+  }
+  f.tracked_ = true;
+  const FrameRecord back = f.frame(120);
+  EXPECT_TRUE(back.tracked && back.metric);
+  EXPECT_EQ(back.frame_id, 1u);
+}
+
+TEST(InertialPoses, ANewMapOfAnotherScaleStandsInTheSameFrame) {
+  Flown f(3);
+  int begun = -1;
+  Vec3 from = Vec3::Zero(), told_from = Vec3::Zero();
+  for (int k = 0; k < 80; ++k) {
+    const FrameRecord r = f.frame(k);
+    if (!r.metric || begun >= 0) continue;
+    begun = k;
+    from = f.camera(k);
+    told_from = Vec3(r.t_world_cam.data());
+  }
+  ASSERT_GE(begun, 0);
+  f.map_id_ = 2;
+  f.flight_.scale_ = 0.7;
+  int metric = 0, coasted = 0;
+  for (int k = 80; k < 180; ++k) {
+    const FrameRecord r = f.frame(k);
+    coasted += r.metric && !r.tracked ? 1 : 0;
+    if (!r.tracked) continue;
+    ++metric;
+    ASSERT_TRUE(r.metric);
+    ASSERT_EQ(r.frame_id, 1u) << "no reset";
+    // Heights and ways need no heading to be compared.
+    const double way = (f.camera(k) - from).norm(), told = (Vec3(r.t_world_cam.data()) - told_from).norm();
+    EXPECT_NEAR(told, way, 0.25) << k;
+  }
+  EXPECT_GT(coasted, 5) << "until the new map is metric";
+  EXPECT_GT(metric, 50);
+}
+
+TEST(InertialPoses, NoNanLeavesWhateverComesIn) {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  const std::function<void(hal::ImuSample*)> samples[] = {
+      [](hal::ImuSample* s) { s->gyro_rad_s[1] = kNan; },
+      [](hal::ImuSample* s) { s->accel_m_s2[2] = kNan; },
+      [](hal::ImuSample* s) { s->accel_m_s2[0] = std::numeric_limits<double>::infinity(); },
+      [](hal::ImuSample* s) { s->gyro_rad_s[0] = 1e300; },
+      [](hal::ImuSample* s) { s->accel_m_s2[1] = -1e300; },
+  };
+  const std::function<void(vo::FrameResult*)> results[] = {
+      [](vo::FrameResult* r) { r->T_world_cam.t.x() = kNan; },
+      [](vo::FrameResult* r) { r->T_world_cam.R(2, 1) = kNan; },
+      [](vo::FrameResult* r) { r->covariance(4, 4) = kNan; },
+      [](vo::FrameResult* r) { r->median_depth = kNan; },
+      [](vo::FrameResult* r) { r->map_moved = true, r->moved_by.y() = kNan; },
+      [](vo::FrameResult* r) { r->map_moved = true, r->turned_by.y() = kNan; },
+  };
+  Flown f(4);
+  int k = 0;
+  const auto fly = [&](int frames) {
+    FrameRecord last;
+    for (const int end = k + frames; k < end; ++k) {
+      last = f.frame(k);
+      EXPECT_TRUE(finite(last)) << k;
+    }
+    return last;
+  };
+  ASSERT_TRUE(fly(80).metric);
+  for (const auto& spoil : samples) {
+    f.spoil_sample_ = spoil;
+    fly(1);
+    f.spoil_sample_ = nullptr;
+    EXPECT_TRUE(fly(60).tracked) << "and it is well again";
+  }
+  for (const auto& spoil : results) {
+    f.spoil_result_ = spoil;
+    EXPECT_FALSE(fly(2).tracked);
+    f.spoil_result_ = nullptr;
+    EXPECT_TRUE(fly(60).tracked);
+  }
+}
+
+}  // namespace
+}  // namespace godwit::app

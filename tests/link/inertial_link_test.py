@@ -1,0 +1,207 @@
+#!/usr/bin/env python3
+"""A simulated flight of a minute with an inertial sensor, flown by `godwit replay --imu on --pace real --can multicast:0`
+through a second of black pictures and through seven, after which there is another map, against an emulated autopilot:
+what it fuses is where the aircraft was. Run it inside a network namespace (with_peers.sh --bus):
+
+    with_peers.sh --bus dronecan,pymavlink,numpy inertial_link_test.py build/release/firmware_app/godwit SCENARIO.toml
+"""
+import argparse
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+import numpy as np  # noqa: E402
+from checks import check, run_cases  # noqa: E402
+from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules  # noqa: E402
+from replay_link_test import FRD, black_png, fly, nanoseconds, rotation  # noqa: E402
+
+FPS = 30
+BLACK_S = (20.0, 21.0)  # coasted through
+LOST_S = (32.0, 39.0)   # longer than the old map is looked for
+QUALITY_MIN = 1
+
+
+def turned(yaw):
+    return np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]])
+
+
+def heading(R):
+    return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+
+
+class Truth:
+    """The body in the world, z up: place, attitude and speed at any time of the recording."""
+
+    def __init__(self, file):
+        rows = np.array([[float(x) for x in line.split()] for line in open(file) if line[0] != "#"])
+        self.t, self.p, self.q = rows[:, 0], rows[:, 1:4], rows[:, 4:8]
+
+    def at(self, t):
+        i = int(np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1))
+        x = (t - self.t[i - 1]) / (self.t[i] - self.t[i - 1])
+        q = (1 - x) * self.q[i - 1] + x * self.q[i] * np.sign(self.q[i] @ self.q[i - 1])
+        v = (self.p[i] - self.p[i - 1]) / (self.t[i] - self.t[i - 1])
+        return (1 - x) * self.p[i - 1] + x * self.p[i], rotation(*(q / np.linalg.norm(q))), v
+
+    def path(self, t0, t1):
+        inside = self.p[(self.t >= t0) & (self.t <= t1)]
+        return np.linalg.norm(np.diff(inside, axis=0), axis=1).sum()
+
+
+def make_flight(program, scenario, folder, seed):
+    """The scenario on file, some of its pictures black. Two shades in turn: the same one over and over is a frozen
+    camera."""
+    subprocess.run([program, "sim", scenario, "--seed", str(seed), "--out", folder], check=True, stdout=subprocess.DEVNULL)
+    index = os.path.join(folder, "rgb.txt")
+    lines = [line for line in open(index) if line.strip() and line[0] != "#"]
+    first = float(lines[0].split()[0])
+    camera = open(os.path.join(folder, "camera.yaml")).read()
+    size = [int(line.split(":")[1]) for key in ("width", "height") for line in camera.splitlines() if line.startswith(key + ":")]
+    for shade in range(2):
+        open(os.path.join(folder, "black%d.png" % shade), "wb").write(black_png(*size, shade=shade))
+    with open(index, "w") as out:
+        for i, line in enumerate(lines):
+            t = float(line.split()[0])
+            black = any(a <= t - first < b for a, b in (BLACK_S, LOST_S))
+            out.write("%s %s\n" % (line.split()[0], "black%d.png" % (i % 2)) if black else line)
+    return first
+
+
+def clock_offset(samples, stamps):
+    """What is between the recording's microseconds and the messages': the constant that most agree on."""
+    votes = {}
+    for _, m in samples[:60]:
+        for s in stamps[:300]:
+            votes[(m.time_usec - s) // 4] = votes.get((m.time_usec - s) // 4, 0) + 1
+    return max(votes, key=votes.get) * 4 + 2
+
+
+class Fused:
+    """What the autopilot fused, in the truth's frame: heading and place agree with the first."""
+
+    def __init__(self, samples, offset, truth):
+        self.t = np.array([(m.time_usec - offset) * 1e-6 for m in samples])
+        at = [truth.at(t) for t in self.t]
+        R = [FRD @ rotation(m.q[1], m.q[2], m.q[3], m.q[0]) for m in samples]
+        p = np.array([FRD @ [m.x, m.y, m.z] for m in samples])
+        G = turned(heading(at[0][1] @ R[0].T))
+        self.error = np.array([a[0] for a in at]) - (at[0][0] + (p - p[0]) @ G.T)
+        self.place = at[0][0] + (p - p[0]) @ G.T
+        self.true_place = np.array([a[0] for a in at])
+        up = np.array([0, 0, 1.0])
+        self.tilt = np.array([np.degrees(math.acos(min(1.0, (r.T @ up) @ (a[1].T @ up)))) for r, a in zip(R, at)])
+        self.turn = np.degrees([heading(a[1] @ (G @ r).T) for r, a in zip(R, at)])
+        self.speed_error = np.array([a[2] - G @ r @ [m.vx, m.vy, m.vz] for r, a, m in zip(R, at, samples)])
+        self.sigma = np.array([math.sqrt(m.pose_covariance[0] + m.pose_covariance[6] + m.pose_covariance[11]) for m in samples])
+        self.quality = np.array([m.quality for m in samples])
+
+    def during(self, t0, t1):
+        return (self.t >= t0) & (self.t < t1)
+
+
+def scale_and_ate(place, truth):
+    """Of the best similarity that turns about the vertical alone (translation and heading free): scale, and RMS without
+    it."""
+    a, b = place - place.mean(axis=0), truth - truth.mean(axis=0)
+    yaw = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
+    turned_a = a @ turned(yaw).T
+    scale = (turned_a * b).sum() / (b * b).sum()
+    return scale, math.sqrt(((b - turned_a) ** 2).sum(axis=1).mean())
+
+
+def autopilot(program, scenario, seed):
+    print("a minute through %.0f s and %.0f s of black" % (BLACK_S[1] - BLACK_S[0], LOST_S[1] - LOST_S[0]))
+    with tempfile.TemporaryDirectory() as folder:
+        sequence, out = os.path.join(folder, "sequence"), os.path.join(folder, "out")
+        first = make_flight(program, scenario, sequence, seed)
+        truth = Truth(os.path.join(sequence, "groundtruth_body.txt"))
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        text, code = fly(program, sequence, out, ap, "--imu", "on", "--detector", "off")
+        ap.node.close()
+        check(code == 0, "flew to its end (%s)" % code)
+        if code != 0:
+            print(text)
+            return
+        samples = sniffer.odometry()
+        frames = list(csv.DictReader(open(os.path.join(out, "frames.csv"))))
+        summary = json.load(open(os.path.join(out, "summary.json")))
+    processed = [f for f in frames if f["fate"] == "processed"]
+    stamps = [nanoseconds(f["t"]) // 1000 for f in processed]
+    offset = clock_offset(samples, stamps)
+    begin = nanoseconds(frames[0]["t"]) * 1e-9
+    black, lost = [tuple(begin + s for s in span) for span in (BLACK_S, LOST_S)]
+
+    rules = VisionRules(quality_min=QUALITY_MIN)
+    for t, m in samples:
+        rules.take(t, m)
+    other = [r for r in rules.refused if "ms" not in r[1]]
+    late = [r for r in rules.refused if "ms" in r[1]]
+    check(not other, "both ArduPilot versions' rules refuse none of %d samples for what is in it: %s" % (len(samples), other[:3]))
+    print("      %d came too close or too late on this machine: %s; of %d pictures %d were flown" %
+          (len(late), late[:2], summary["frames"] if "frames" in summary else len(frames), len(processed)))
+    check(all(m.estimator_type == 3 for _, m in samples), "all of them say that an inertial sensor takes part")
+    check(any(m.quality == -1 for _, m in samples[:30]), "before scale and vertical are known the quality is -1")
+
+    good = [m for _, m in samples if m.quality >= QUALITY_MIN]
+    check(len(good) > 0.4 * len(processed), "%d samples were fused" % len(good))
+    if len(good) < 100:
+        return
+    f = Fused(good, offset, truth)
+    print("      metric after %.2f s; quality %d to %d" % (f.t[0] - begin, f.quality.min(), f.quality.max()))
+    error = np.linalg.norm(f.error, axis=1)
+    outside = (error > 3 * f.sigma).mean()
+    check(outside <= 0.003, "the position is off by more than three of the sigmas told in %.2f %% of them (0.3 allowed)" % (100 * outside))
+
+    flown = f.during(f.t[0], black[0])
+    scale, ate = scale_and_ate(f.place[flown], f.true_place[flown])
+    path = truth.path(f.t[0], black[0])
+    check(abs(scale - 1) <= 0.01, "until the first black picture the scale is off by %+.2f %% (1 allowed)" % (100 * (scale - 1)))
+    check(ate <= 0.003 * path, "and the position by %.3f m of %.1f m flown (0.3 %%: %.3f)" % (ate, path, 0.003 * path))
+    check(f.tilt.mean() <= 0.4, "level to %.2f degrees in the mean, %.2f at most" % (f.tilt.mean(), f.tilt.max()))
+    speed = math.sqrt((f.speed_error ** 2).sum(axis=1).mean())
+    print("      velocity off by %.3f m/s RMS, %.3f at most; heading by %.2f degrees at most" %
+          (speed, np.linalg.norm(f.speed_error, axis=1).max(), np.abs(f.turn).max()))
+    check(speed <= 0.1, "the velocity is the body's, along the body's axes")
+
+    dark = f.during(black[0] + 0.1, black[1])
+    check(dark.sum() > 10, "in the second without pictures poses go on: %d" % dark.sum())
+    if dark.any():
+        before = f.error[f.t < black[0]][-1]
+        grown = np.linalg.norm(f.error[dark] - before, axis=1).max()
+        check(grown <= 0.10, "and stray by %.3f m (0.10 allowed)" % grown)
+    check(not f.during(lost[0] + 3, lost[1]).any(), "but not for ever: after three seconds of the seven there is none")
+    after = f.during(lost[1], 1e18)
+    check(after.any(), "and they come again after the seven: %s" %
+          ("%.2f s later" % (f.t[after][0] - lost[1]) if after.any() else "never"))
+    maps = {r["map_id"] for r in processed if r["tracked"] == "1"}
+    check(len(maps) >= 2, "in another map: %s" % sorted(maps))
+    resets = [b.reset_counter - a.reset_counter for a, b in zip(good, good[1:])]
+    print("      %d resets were told" % sum(r % 256 for r in resets))
+    if after.any():
+        blind = truth.path(lost[0], f.t[after][0])
+        jump = np.linalg.norm(f.error[after][0] - f.error[f.t < lost[0]][-1])
+        print("      %.1f m were flown between the last pose and the next; the place is off by %.2f m more, sigma told %.2f m" %
+              (blind, jump, f.sigma[after][0]))
+        check(jump <= 0.25 * blind, "what was flown in the dark is in the position")
+        scale, ate = scale_and_ate(f.place[after], f.true_place[after])
+        print("      in the new map: scale %+.2f %%, off by %.3f m of %.1f m" %
+              (100 * (scale - 1), ate, truth.path(f.t[after][0], f.t[-1])))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program")
+    parser.add_argument("scenario")
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--only", default="")
+    args = parser.parse_args()
+    run_cases({"autopilot": lambda: autopilot(args.program, args.scenario, args.seed)}, args.only)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
