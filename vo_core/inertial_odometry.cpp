@@ -229,17 +229,22 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   J.block<3, 1>(0, 0) = way;
   J.block<3, 2>(0, 1) = skew(way) * tilt_axes;
   J.block<3, 2>(3, 1) = -tilt_axes;
-  out.covariance = J * C.block<3, 3>(S::kScale, S::kScale) * J.transpose();
+  Mat3 shared = C.block<3, 3>(S::kScale, S::kScale);
+  const double scale_variance = options_.told_scale_sigma * options_.told_scale_sigma;
+  shared(0, 0) += scale_variance;
+  out.covariance = J * shared * J.transpose();
   Mat6 to_nav = Mat6::Zero();
   to_nav.topLeftCorner<3, 3>() = s * out.T_nav_cam.R;
   to_nav.bottomRightCorner<3, 3>() = out.T_nav_cam.R;
   out.covariance += to_nav * pose.covariance * to_nav.transpose();
-  const double place = options_.model.position_sigma * s * pose.median_depth;
+  const double place = std::hypot(options_.model.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
   const double drift = options_.drift_share * s * way_;
   out.covariance.diagonal().head<3>().array() += place * place + drift * drift;
   out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
-  out.velocity_covariance = R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose();
-  out.log_scale_sigma = std::sqrt(C(S::kScale, S::kScale));
+  out.velocity_covariance = R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
+                            scale_variance * out.velocity_m_s * out.velocity_m_s.transpose();
+  out.velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;
+  out.log_scale_sigma = std::sqrt(shared(0, 0));
   last_nav_ = out.T_nav_cam;
   have_nav_ = true;
   return out;

@@ -41,6 +41,11 @@ struct InertialOdometryOptions {
   double lost_scale_sigma = 0.15;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
+  /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
+  /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
+  double told_place_sigma_m = 4e-3;    ///< an axis
+  double told_scale_sigma = 1e-2;      ///< of lengths: the accelerometer's scale, and what vision's drifts
+  double told_speed_sigma_m_s = 6e-3;  ///< an axis
 };
 
 /// Position and attitude of the camera in the navigation frame: metres, z up; origin and heading where it began.

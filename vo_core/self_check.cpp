@@ -34,6 +34,8 @@ bool SelfCheck::add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) 
   reason_ = kReasons[static_cast<std::size_t>(by)];
   value_ = mean(by);
   reset();
+  // Who was just found wrong is the same as before: what begins anew has to earn its trust.
+  one = {options_.few * options_.lost, options_.few, t_ns, 0};
   return true;
 }
 

@@ -32,7 +32,8 @@ class SelfCheck {
   explicit SelfCheck(const SelfCheckOptions& options = {}) : options_(options) {}
 
   /// squared: an innovation squared in its own sigmas, with so many degrees of freedom. What is no number counts as the
-  /// worst there is. True: what is told is to be given up; the reason is below, and everything begins anew.
+  /// worst there is. True: what is told is to be given up; the reason is below. What begins anew has the least trust
+  /// until innovations fit.
   bool add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns);
   /// 1: all fits; down to least_trust. Of the one that fits least.
   double trust() const;

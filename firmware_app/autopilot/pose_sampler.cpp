@@ -9,6 +9,7 @@ namespace {
 
 constexpr double kJumpPosition = 0.05;           // [m]
 constexpr double kJumpAngle = 1.0 * M_PI / 180;  // [rad]
+constexpr double kLeastTrust = 0.1;
 
 /// Rotation vector from one attitude to the other, in the axes of `from`.
 Eigen::Vector3d turn(const Eigen::Quaterniond& from, const Eigen::Quaterniond& to) {
@@ -96,6 +97,10 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
     s.velocity = record.velocity;
     const auto& c = record.velocity_covariance;
     s.velocity_covariance = {c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5]};
+    // What vision and inertial sensor disagree by is in neither's covariance.
+    const double inflation = 1 / std::pow(std::clamp(record.trust, kLeastTrust, 1.0), 2);
+    for (double& variance : s.covariance) variance *= inflation;
+    for (double& variance : s.velocity_covariance) variance *= inflation;
   } else if (s.has_velocity) {
     // Positions on end share what the map is off by: between them only each frame's own noise counts.
     const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);

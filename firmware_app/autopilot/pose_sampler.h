@@ -31,7 +31,8 @@ class PoseSampler {
   ///
   /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
   /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts; metric records
-  /// stand in a navigation frame that goes on through new maps, and its number takes that id's place.
+  /// stand in a navigation frame that goes on through new maps, and its number takes that id's place. Less trust than 1
+  /// makes their sigmas larger, 1 / trust times.
   link::PoseSample sample(const FrameRecord& record);
 
  private:

@@ -106,6 +106,8 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   if (pose.source == Source::kSeen) {
     tell_sensor(metric.log_scale_sigma);
     fill(pose, record);
+    if (pose.why[0] != '\0')
+      record->reason.assign_measured(pose.why, measured_figure(pose.value), measured_figure(pose.limit));
     return;
   }
   const bool seen_without_metres = record->has_pose;

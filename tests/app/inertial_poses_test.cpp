@@ -168,6 +168,19 @@ TEST(InertialPoses, ANewMapOfAnotherScaleStandsInTheSameFrame) {
   EXPECT_GT(metric, 50);
 }
 
+TEST(InertialPoses, AFrameThatBeginsAnewSaysWhy) {
+  Flown f(5);
+  for (int k = 0; k < 80; ++k) f.frame(k);
+  f.tracked_ = false;
+  for (int k = 80; k < 1600; ++k) f.frame(k);
+  f.tracked_ = true;
+  FrameRecord r;
+  for (int k = 1600; k < 1720 && !r.metric; ++k) r = f.frame(k);
+  ASSERT_TRUE(r.tracked && r.metric);
+  EXPECT_EQ(r.frame_id, 2u);
+  EXPECT_NE(std::string(r.reason.view()).find("blind"), std::string::npos) << r.reason.view();
+}
+
 TEST(InertialPoses, NoNanLeavesWhateverComesIn) {
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const std::function<void(hal::ImuSample*)> samples[] = {

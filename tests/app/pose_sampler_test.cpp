@@ -105,6 +105,24 @@ TEST(PoseSampler, AMetricRecordIsPassedOnAsItIs) {
   EXPECT_FALSE(sampler.sample(record_at(1, cruise(0.3))).has_scale);
 }
 
+TEST(PoseSampler, WhereVisionAndInertialSensorDisagreeTheSigmasToldGrow) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  FrameRecord r = record_at(0, cruise(0.3));
+  r.metric = true;
+  r.velocity_covariance = {1e-4, 1e-5, 2e-5, 4e-4, 3e-5, 9e-4};
+  const link::PoseSample trusted = sampler.sample(r);
+  ASSERT_GT(trusted.covariance[0], 0);
+  r.trust = 0.25;
+  const link::PoseSample doubted = sampler.sample(r);
+  EXPECT_EQ(doubted.trust, 0.25);
+  for (std::size_t i = 0; i < 36; ++i) EXPECT_DOUBLE_EQ(doubted.covariance[i], 16 * trusted.covariance[i]) << i;
+  EXPECT_DOUBLE_EQ(doubted.velocity_covariance[5], 16 * 3e-5);
+  for (const double nothing : {0.0, -1.0, 1e-9}) {
+    r.trust = nothing;
+    EXPECT_DOUBLE_EQ(sampler.sample(r).covariance[0], 100 * trusted.covariance[0]);
+  }
+}
+
 TEST(PoseSampler, AMetricFrameGoesOnThroughMapsAndCoastingAndOnlyItsOwnEndIsAReset) {
   PoseSampler sampler(world_of_level_start(mounting()));
   const auto at = [&](int frame, std::uint32_t map_id, std::uint32_t frame_id, vo::State state) {

@@ -20,9 +20,11 @@ using test::Flight;
 /// Flies at 20 pictures and 200 readings a second, and remembers what was told.
 class Flown {
  public:
-  explicit Flown(Flight* flight) : flight_(*flight) {
+  /// as_modelled: nothing is told on top of the smoother's own covariance, as this flight errs in no other way.
+  explicit Flown(Flight* flight, bool as_modelled = false) : flight_(*flight) {
     InertialOdometryOptions options;
     options.model = flight->model_;
+    if (as_modelled) options.told_place_sigma_m = options.told_scale_sigma = options.told_speed_sigma_m_s = 0;
     odometry_ = std::make_unique<InertialOdometry>(flight->mounting_, options);
   }
 
@@ -60,7 +62,7 @@ TEST(InertialOdometry, BecomesMetricAndLevelAndItsCovarianceHolds) {
   constexpr int kFlights = 12;
   for (unsigned seed = 1; seed <= kFlights; ++seed) {
     Flight f(1.0, 300 + seed);
-    Flown flown(&f);
+    Flown flown(&f, true);
     int begun = -1;
     Vec3 p_first = Vec3::Zero(), q_first = Vec3::Zero();
     Mat3 turn = Mat3::Identity();  // the gauge: heading and place where it began
@@ -95,6 +97,31 @@ TEST(InertialOdometry, BecomesMetricAndLevelAndItsCovarianceHolds) {
   EXPECT_GT(nees / told, 0.05);
   EXPECT_LT(tilt / told, 0.012);
   EXPECT_LT(std::sqrt(speed2 / told), 0.05);
+}
+
+TEST(InertialOdometry, WhatIsToldIsLessCertainThanTheModelAndElseTheSame) {
+  Flight f(1.0, 301), g(1.0, 301);
+  Flown told(&f), modelled(&g, true);
+  const InertialOdometryOptions options;
+  int compared = 0;
+  Vec3 began = Vec3::Zero();
+  for (int k = 0; k < 160; ++k) {
+    const MetricPose a = told.frame(k), b = modelled.frame(k);
+    ASSERT_EQ(a.valid, b.valid);
+    if (!a.valid) continue;
+    if (compared++ == 0) began = a.T_nav_cam.t;
+    EXPECT_EQ(a.T_nav_cam.t, b.T_nav_cam.t);
+    EXPECT_EQ(a.velocity_m_s, b.velocity_m_s);
+    const Vec3 way = a.T_nav_cam.t - began, v = a.velocity_m_s;
+    const double place = std::pow(options.told_place_sigma_m, 2), scale = std::pow(options.told_scale_sigma, 2);
+    Mat6 more = Mat6::Zero();
+    more.topLeftCorner<3, 3>() = place * Mat3::Identity() + scale * way * way.transpose();
+    EXPECT_LT((a.covariance - b.covariance - more).norm(), 1e-3 * more.norm());
+    const Mat3 more_speed = std::pow(options.told_speed_sigma_m_s, 2) * Mat3::Identity() + scale * v * v.transpose();
+    EXPECT_LT((a.velocity_covariance - b.velocity_covariance - more_speed).norm(), 1e-3 * more_speed.norm());
+    EXPECT_GT(a.log_scale_sigma, b.log_scale_sigma);
+  }
+  EXPECT_GT(compared, 100);
 }
 
 TEST(InertialOdometry, AtRestItWaitsAndSaysWhy) {

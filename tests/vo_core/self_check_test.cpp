@@ -50,7 +50,10 @@ TEST(SelfCheck, DisagreementLowersTrustAndThenEndsWithAReason) {
   EXPECT_LT(rt::to_seconds(t - worse), 10);
   EXPECT_NE(std::string(check.reason()).find("inertial"), std::string::npos);
   EXPECT_GT(check.value(), 9);
-  EXPECT_EQ(check.trust(), 1) << "it begins anew";
+  EXPECT_NEAR(check.trust(), 0.1, 1e-9) << "what begins anew is not trusted for that";
+  t += kStep;
+  EXPECT_FALSE(feed(&check, CheckedBy::kInertial, 1, 20, &t));
+  EXPECT_GT(check.trust(), 0.9) << "until it fits";
 }
 
 TEST(SelfCheck, OneOutlierEndsNothing) {
