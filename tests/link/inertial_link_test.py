@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
-"""A simulated flight of a minute with an inertial sensor, flown by `godwit replay --imu on --pace real --can multicast:0`
-through a second of black pictures and through seven, after which there is another map, against an emulated autopilot:
-what it fuses is where the aircraft was. Run it inside a network namespace (with_peers.sh --bus):
+"""Flights with an inertial sensor, by `godwit replay --imu on --pace real --can multicast:0`, against an emulated
+autopilot: what it fuses is where the aircraft was. Run it inside a network namespace (with_peers.sh --bus):
 
-    with_peers.sh --bus dronecan,pymavlink,numpy inertial_link_test.py build/release/firmware_app/godwit SCENARIO.toml
+    with_peers.sh --bus dronecan,pymavlink,numpy inertial_link_test.py build/release/firmware_app/godwit SEQUENCE|SCENARIO.toml
+
+SEQUENCE: a recording with imu.txt and groundtruth_body.txt, through a second of black pictures. SCENARIO.toml: a simulated
+minute, through a second of them and through seven, after which there is another map.
 """
 import argparse
 import csv
@@ -21,6 +23,7 @@ from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules  # noqa: 
 from replay_link_test import FRD, black_png, fly, nanoseconds, rotation  # noqa: E402
 
 FPS = 30
+RECORDING_BLACK_S = (9.0, 10.0)  # coasted through, while it moves
 BLACK_S = (20.0, 21.0)  # coasted through
 LOST_S = (32.0, 39.0)   # longer than the old map is looked for
 QUALITY_MIN = 1
@@ -59,6 +62,21 @@ def make_flight(program, scenario, folder, seed):
     subprocess.run([program, "sim", scenario, "--seed", str(seed), "--out", folder], check=True, stdout=subprocess.DEVNULL)
     index = os.path.join(folder, "rgb.txt")
     lines = [line for line in open(index) if line.strip() and line[0] != "#"]
+    return blacken(folder, lines, (BLACK_S, LOST_S))
+
+
+def take_recording(source, folder):
+    """The recording, some of its pictures black."""
+    os.makedirs(folder)
+    for name in ("rgb", "camera.yaml", "imu.txt"):
+        os.symlink(os.path.join(os.path.abspath(source), name), os.path.join(folder, name))
+    lines = [line for line in open(os.path.join(source, "rgb.txt")) if line.strip() and line[0] != "#"]
+    return blacken(folder, lines, (RECORDING_BLACK_S,))
+
+
+def blacken(folder, lines, spans):
+    """Writes rgb.txt of these lines, those in the spans [s after the first] black; the first one's time."""
+    index = os.path.join(folder, "rgb.txt")
     first = float(lines[0].split()[0])
     camera = open(os.path.join(folder, "camera.yaml")).read()
     size = [int(line.split(":")[1]) for key in ("width", "height") for line in camera.splitlines() if line.startswith(key + ":")]
@@ -67,7 +85,7 @@ def make_flight(program, scenario, folder, seed):
     with open(index, "w") as out:
         for i, line in enumerate(lines):
             t = float(line.split()[0])
-            black = any(a <= t - first < b for a, b in (BLACK_S, LOST_S))
+            black = any(a <= t - first < b for a, b in spans)
             out.write("%s %s\n" % (line.split()[0], "black%d.png" % (i % 2)) if black else line)
     return first
 
@@ -112,6 +130,62 @@ def scale_and_ate(place, truth):
     turned_a = a @ turned(yaw).T
     scale = (turned_a * b).sum() / (b * b).sum()
     return scale, math.sqrt(((b - turned_a) ** 2).sum(axis=1).mean())
+
+
+def recording(program, source):
+    a, b = RECORDING_BLACK_S
+    print("a recording through %.0f s of black" % (b - a))
+    with tempfile.TemporaryDirectory() as folder:
+        sequence, out = os.path.join(folder, "sequence"), os.path.join(folder, "out")
+        take_recording(source, sequence)
+        truth = Truth(os.path.join(source, "groundtruth_body.txt"))
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        text, code = fly(program, sequence, out, ap, "--imu", "on", "--detector", "off")
+        ap.node.close()
+        check(code == 0, "flew to its end (%s)" % code)
+        if code != 0:
+            print(text)
+            return
+        samples = sniffer.odometry()
+        frames = list(csv.DictReader(open(os.path.join(out, "frames.csv"))))
+    processed = [f for f in frames if f["fate"] == "processed"]
+    offset = clock_offset(samples, [nanoseconds(f["t"]) // 1000 for f in processed])
+    begin = nanoseconds(frames[0]["t"]) * 1e-9
+    rules = VisionRules(quality_min=QUALITY_MIN)
+    for t, m in samples:
+        rules.take(t, m)
+    other = [r for r in rules.refused if "ms" not in r[1]]
+    check(not other, "both ArduPilot versions' rules refuse none of %d samples for what is in it: %s" % (len(samples), other[:3]))
+    check(all(m.estimator_type == 3 for _, m in samples), "all of them say that an inertial sensor takes part")
+    fused = [m for _, m in samples if m.quality >= QUALITY_MIN]
+    refused = [m for _, m in samples if m.quality < QUALITY_MIN]
+    check(any(m.quality == -1 for _, m in samples[:5]), "before scale and vertical are known the quality is -1")
+    check(all(m.quality == -1 and m.pose_covariance[0] >= 1e4 and m.vx == m.vy == m.vz == 0 for m in refused),
+          "and what has quality -1 is at rest and has a sigma of 100 m: %d samples" % len(refused))
+    check(len(fused) > 0.5 * len(processed), "%d samples of %d pictures were fused" % (len(fused), len(processed)))
+    if len(fused) < 100:
+        return
+    f = Fused(fused, offset, truth)
+    print("      metric after %.2f s; quality %d to %d" % (f.t[0] - begin, f.quality.min(), f.quality.max()))
+    error = np.linalg.norm(f.error, axis=1)
+    check((error <= 3 * f.sigma).all(), "the position is never off by more than three of the sigmas told: %.3f m at most, sigma %.3f to %.3f m" %
+          (error.max(), f.sigma.min(), f.sigma.max()))
+    seen = ~f.during(begin + a, begin + b + 0.2)
+    scale, ate = scale_and_ate(f.place[seen], f.true_place[seen])
+    check(abs(scale - 1) <= 0.025, "the scale is off by %+.2f %% (2.5 allowed)" % (100 * (scale - 1)))
+    check(ate <= 0.03, "the place by %.3f m (0.03 allowed)" % ate)
+    check(f.tilt.mean() <= 0.6, "level to %.2f degrees in the mean, %.2f at most" % (f.tilt.mean(), f.tilt.max()))
+    speed = math.sqrt((f.speed_error[seen] ** 2).sum(axis=1).mean())
+    check(speed <= 0.05, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS" % speed)
+    dark = f.during(begin + a + 0.1, begin + b)
+    check(dark.sum() > 10, "in the second without pictures poses go on: %d" % dark.sum())
+    if dark.any():
+        grown = np.linalg.norm(f.error[dark] - f.error[f.t < begin + a][-1], axis=1).max()
+        check(grown <= 0.10, "and stray by %.3f m (0.10 allowed)" % grown)
+        check(f.quality[dark].max() <= 50, "their quality is halved: %d at most" % f.quality[dark].max())
+        check(f.sigma[dark][-1] > f.sigma[dark][0], "their sigma grows: %.4f to %.4f m" % (f.sigma[dark][0], f.sigma[dark][-1]))
+    check(f.during(begin + b + 0.5, 1e18).any(), "after it pictures are flown by again")
+    check(len({m.reset_counter for m in fused}) == 1, "no reset was told: the frame is one")
 
 
 def autopilot(program, scenario, seed):
@@ -196,11 +270,15 @@ def autopilot(program, scenario, seed):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
-    parser.add_argument("scenario")
+    parser.add_argument("source")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--only", default="")
     args = parser.parse_args()
-    run_cases({"autopilot": lambda: autopilot(args.program, args.scenario, args.seed)}, args.only)
+    if os.path.isdir(args.source):
+        cases = {"recording": lambda: recording(args.program, args.source)}
+    else:
+        cases = {"autopilot": lambda: autopilot(args.program, args.source, args.seed)}
+    run_cases(cases, args.only)
 
 
 if __name__ == "__main__":
