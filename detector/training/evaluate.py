@@ -4,9 +4,11 @@
   evaluate.py --data DIR [--tiled] MODEL.onnx [MODEL.onnx ...]
 
 For every set: precision and recall at the best F1, mAP50 and mAP50-95 over the six classes, AP50 of each class, and of
-"vehicle" (car, bus and truck as one). --tiled: with squares of wide pictures beside the whole, as `detector.tiled` in the
-configuration (detector/tiles.h). The time is that of the network alone, one picture, one thread; several models
-are timed in turn, picture by picture, so that they share whatever else the machine does.
+"vehicle" (car, bus and truck as one). Then the same boxes as they fly, from the threshold on and with the suppression that
+DecodeOptions in detector/decode.h has: precision and recall of each class and of vehicles, and the recall of people and
+vehicles that the picture's edge cuts. --tiled: with squares of wide pictures beside the whole, as `detector.tiled` in the
+configuration (detector/tiles.h). The time is that of the network alone, one picture, one thread; several models are timed
+in turn, picture by picture, so that they share whatever else the machine does.
 """
 from __future__ import annotations
 
@@ -21,10 +23,11 @@ import numpy as np
 
 import data
 from augment import BORDER
-from metrics import ClassScore, best_f1, nms
+from metrics import ClassScore, FlyingScore, best_f1, nms
 from names import CLASSES, COCO_INDEX, STRIDES
 
 VEHICLE_NUMBERS = tuple(data.VEHICLE_CLASSES)
+FLYING_SCORE, FLYING_OVERLAP = 0.25, 0.45  # DecodeOptions of detector/decode.h
 
 
 def square_tiles(width: int, height: int, most: int = 8) -> list[tuple[int, int, int, int]]:
@@ -150,6 +153,43 @@ def score_set(network: Network, pictures: list[data.Picture], threshold: float =
     return out
 
 
+def cut_by_edge(boxes: np.ndarray, width: int, height: int, near: float = 0.01) -> np.ndarray:
+    """Which boxes end at the picture's edge, as CarrierLimits::cut_off_share says."""
+    dx, dy = near * width, near * height
+    return (boxes[:, 0] < dx) | (boxes[:, 1] < dy) | (boxes[:, 2] > width - dx) | (boxes[:, 3] > height - dy)
+
+
+def score_as_flown(network: Network, pictures: list[data.Picture], score: float = FLYING_SCORE,
+                   overlap: float = FLYING_OVERLAP) -> dict:
+    """Precision and recall at one threshold. Each row of the network gives a box of its best class only, as Decoder does;
+    "NAME at the edge" has what the picture cuts off."""
+    found: dict[str, FlyingScore] = {}
+    for p in pictures:
+        boxes, scores = network.detect(p.image, score)
+        label = scores.argmax(1) if len(scores) else np.zeros(0, np.int64)
+        best = scores.max(1) if len(scores) else np.zeros(0)
+        kept = nms(boxes, best, label, overlap, most=128)
+        boxes, best, label = boxes[kept], best[kept], label[kept]
+        unknown = p.boxes[p.labels == data.VEHICLE]
+        h, w = p.image.shape[:2]
+        groups = [(CLASSES[i], (i,), (i,), np.concatenate((p.ignore, unknown)) if i in VEHICLE_NUMBERS else p.ignore)
+                  for i in range(len(CLASSES))]
+        groups.append(("vehicle", VEHICLE_NUMBERS, (*VEHICLE_NUMBERS, data.VEHICLE), p.ignore))
+        for name, mine, theirs, ignore in groups:
+            said, truth = np.isin(label, mine), p.boxes[np.isin(p.labels, theirs)]
+            found.setdefault(name, FlyingScore()).add(boxes[said], best[said], truth, ignore)
+            if name in ("person", "vehicle"):
+                cut = cut_by_edge(truth, w, h)
+                # What hits a whole one counts neither way here.
+                found.setdefault(f"{name} at the edge", FlyingScore()).add(
+                    boxes[said], best[said], truth[cut], np.concatenate((ignore, truth[~cut])))
+    out = {name: f.figures() for name, f in found.items() if f.truths}
+    for name in out:
+        if name.endswith("edge"):
+            out[name]["P"] = None  # a wrong box is wrong anywhere
+    return out
+
+
 def time_networks(networks: list[Network], rounds: int) -> list[dict]:
     """Milliseconds of one forward pass: elapsed, and of the processor (which other programs do not lengthen as much)."""
     elapsed: list[list[float]] = [[] for _ in networks]
@@ -172,6 +212,7 @@ def main() -> None:
     parser.add_argument("--data", required=True)
     parser.add_argument("--sets", nargs="+", choices=data.SETS, default=list(data.SETS))
     parser.add_argument("--tiled", action="store_true", help="look at squares of wide pictures, too")
+    parser.add_argument("--score", type=float, default=FLYING_SCORE, help="threshold of the figures as flown")
     parser.add_argument("--rounds", type=int, default=30, help="timed passes of each model; 0 times nothing")
     parser.add_argument("--json", help="also write the figures to this file")
     parser.add_argument("models", nargs="+", type=Path)
@@ -189,6 +230,10 @@ def main() -> None:
                   "  ".join(f"{k} {show(s.get(k))}" for k in ("P", "R", "mAP50", "mAP50_95", "vehicle_AP50")), flush=True)
             for name, ap in s.get("AP50", {}).items():
                 print(f"{'':38} {name:11} AP50 {ap:.3f}  ({s['objects'][name]} objects)")
+            s["as_flown"] = {"score": args.score, "overlap": FLYING_OVERLAP,
+                             "figures": score_as_flown(n, pictures, args.score)}
+            for name, f in s["as_flown"]["figures"].items():
+                print(f"{'':30} as flown {name:19} P {show(f['P'])}  R {show(f['R'])}  ({f['objects']} objects)", flush=True)
     if args.rounds:
         for n, t in zip(networks, time_networks(networks, args.rounds)):
             report[n.path.name]["time"] = t

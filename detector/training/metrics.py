@@ -82,6 +82,29 @@ class ClassScore:
         return out
 
 
+@dataclass
+class FlyingScore:
+    """Boxes as they fly, above one threshold and with one suppression, against annotations at an overlap of 0.5."""
+
+    right: int = 0
+    wrong: int = 0
+    truths: int = 0
+
+    def add(self, boxes: np.ndarray, scores: np.ndarray, truth: np.ndarray, ignore: np.ndarray) -> None:
+        one = ClassScore()
+        one.add(boxes, scores, truth, ignore)
+        hits = np.concatenate(one.hits)[:, 0] if one.hits else np.zeros(0, bool)
+        self.right += int(hits.sum())
+        self.wrong += int((~hits).sum())
+        self.truths += one.truths
+
+    def figures(self) -> dict:
+        """None where nothing was said, or nothing was there to be found."""
+        said = self.right + self.wrong
+        return {"P": self.right / said if said else None, "R": self.right / self.truths if self.truths else None,
+                "boxes": said, "objects": self.truths}
+
+
 def _inside(boxes: np.ndarray, regions: np.ndarray) -> np.ndarray:
     if not len(regions) or not len(boxes):
         return np.zeros(len(boxes), bool)

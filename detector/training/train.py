@@ -24,18 +24,16 @@ from loss import detection_loss
 from model import CbamYolov5, load_coco
 
 MOSAIC_SHARE = 0.4
-LAST_QUARTER = ("cats_topdown", "aerial_cars", "visdrone", "aerial_cars")  # in turns
-PEOPLE_UNLABELLED = ("aerial_cars",)
+PEOPLE_UNLABELLED = ("aerial_cars", "cats_topdown")
 
 
 def draw_batch(pictures: dict[str, list[Picture]], args: argparse.Namespace, step: int) -> list[View]:
-    """Half COCO, which comes first and which the teacher sees too. Of the rest, most is small vehicles, which take longest
-    to learn."""
+    """COCO comes first: the teacher sees it too."""
     rng = np.random.default_rng((args.seed, step))
     views = []
-    for source, share in (("coco", 2), ("aerial_cars", 4), (LAST_QUARTER[step % len(LAST_QUARTER)], 4)):
+    for source, count in data.sources_of_step(step, args.batch):
         pool = pictures[source]
-        for _ in range(args.batch // share):
+        for _ in range(count):
             if rng.random() < MOSAIC_SHARE:
                 four = [pool[i] for i in rng.integers(0, len(pool), 4)]
                 views.append(mosaic(four, args.window, args.view, rng))

@@ -3,6 +3,7 @@ import pathlib
 import sys
 import tempfile
 import unittest
+import unittest.mock
 
 import cv2
 import numpy as np
@@ -64,6 +65,51 @@ class Split(unittest.TestCase):
             data.load(self.root, 'visdrone', held_out=False)
 
 
+    def one_picture(self, source, label):
+        for sub in ('images', 'labels'):
+            (self.root / source / sub).mkdir(parents=True)
+        cv2.imwrite(str(self.root / source / 'images' / 'Drone1-1.jpg'), np.zeros((100, 200, 3), np.uint8))
+        if label is not None:
+            (self.root / source / 'labels' / 'Drone1-1.txt').write_text(label)
+        return data.load(self.root, source, held_out=False)[0]
+
+    def test_a_label_file_that_was_lost_is_no_empty_picture(self):
+        with self.assertRaisesRegex(ValueError, 'Drone1-1.txt: no label file'):
+            self.one_picture('cats_topdown', None)
+        (self.root / 'coco256' / 'images' / 'train2017').mkdir(parents=True)
+        for stem in ('000000000250', '000000000009'):  # the first is known to show none of the 80 classes
+            cv2.imwrite(str(self.root / 'coco256' / 'images' / 'train2017' / f'{stem}.jpg'), np.zeros((9, 9, 3), np.uint8))
+        with self.assertRaisesRegex(ValueError, '000000000009.txt: no label file'):
+            data.load(self.root, 'coco', held_out=False)
+        (self.root / 'coco256' / 'images' / 'train2017' / '000000000009.jpg').unlink()
+        self.assertEqual(len(data.load(self.root, 'coco', held_out=False)), 1)
+
+    def test_an_unknown_class_is_told(self):
+        with self.assertRaisesRegex(ValueError, "Drone1-1.txt: class 5 is none of aerial_cars's 5"):
+            self.one_picture('aerial_cars', '0 0.5 0.5 0.1 0.2\n5 0.5 0.5 0.1 0.2\n')
+
+    def test_cut_vehicles_that_nobody_labelled_are_no_background(self):
+        picture = self.one_picture('cats_topdown', '0 0.5 0.5 0.1 0.2\n')
+        self.assertEqual(len(picture.boxes), 1)
+        inside = lambda x, y: any(a <= x < c and b <= y < d for a, b, c, d in picture.ignore)  # noqa: E731
+        for x, y in ((1, 50), (199, 50), (100, 1), (100, 99)):
+            self.assertTrue(inside(x, y))
+        self.assertFalse(inside(100, 50))
+        self.assertFalse(inside(20, 50))
+        # What is scored is not touched: figures stay comparable.
+        with unittest.mock.patch.object(data, 'names', return_value=['Drone1-1']):
+            self.assertEqual(len(data.load(self.root, 'cats_topdown', held_out=True)[0].ignore), 0)
+
+    def test_a_quarter_of_the_views_is_visdrone(self):
+        views = {}
+        for step in range(12):
+            sources = data.sources_of_step(step, 8)
+            self.assertEqual(sources[0], ('coco', 4))
+            for source, count in sources:
+                views[source] = views.get(source, 0) + count
+        self.assertEqual(views, {'coco': 48, 'visdrone': 24, 'aerial_cars': 16, 'cats_topdown': 8})
+
+
 class Views(unittest.TestCase):
     def test_a_box_stays_on_its_thing(self):
         image = np.zeros((300, 500, 3), np.uint8)
@@ -112,6 +158,54 @@ class Figures(unittest.TestCase):
         boxes = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]], float)
         kept = metrics.nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]))
         self.assertEqual(kept.tolist(), [1, 2])
+
+
+class AsFlown(unittest.TestCase):
+    def network(self, boxes, scores):
+        network = object.__new__(evaluate.Network)
+        network.tiled = False
+
+        def look(image, threshold):
+            b, s = np.array(boxes, float), np.array(scores, float)
+            sure = s.max(1) > threshold
+            return b[sure], s[sure]
+
+        network._look = look
+        return network
+
+    def picture(self, boxes, labels):
+        return data.Picture('p', 'coco', np.zeros((100, 200, 3), np.uint8), np.float32(boxes), np.array(labels))
+
+    def test_only_what_flies_is_counted(self):
+        person = lambda score: [score, 0, 0, 0, 0, 0]  # noqa: E731
+        found = self.network([[10, 10, 50, 90], [12, 10, 60, 90], [100, 10, 140, 90], [150, 10, 190, 90]],
+                             [person(0.9), person(0.8), person(0.3), person(0.2)])
+        # The second is suppressed at 0.45, the third is nobody, the fourth not sure enough: one of two.
+        picture = self.picture([[10, 10, 50, 90], [150, 10, 190, 90]], [0, 0])
+        f = evaluate.score_as_flown(found, [picture])['person']
+        self.assertEqual((f['P'], f['R'], f['boxes'], f['objects']), (0.5, 0.5, 2, 2))
+        self.assertEqual(evaluate.score_as_flown(found, [picture], score=0.1)['person']['R'], 1)
+
+    def test_suppression_is_that_of_flight(self):
+        both = self.network([[0, 0, 100, 100], [33, 0, 133, 100]], [[0.9, 0, 0, 0, 0, 0], [0.8, 0, 0, 0, 0, 0]])
+        picture = self.picture([[0, 0, 100, 100]], [0])  # they overlap by 0.504: two at 0.6, one in flight
+        self.assertEqual(evaluate.score_as_flown(both, [picture])['person']['P'], 1)
+
+    def test_a_row_is_of_its_best_class(self):
+        f = evaluate.score_as_flown(self.network([[10, 10, 50, 50]], [[0, 0, 0.9, 0, 0.5, 0]]),
+                                    [self.picture([[10, 10, 50, 50]], [2])])
+        self.assertEqual(f['vehicle']['P'], 1)
+        self.assertNotIn('bus', f)
+
+    def test_what_the_edge_cuts_is_told_apart(self):
+        found = self.network([[50, 10, 90, 90]], [[0.9, 0, 0, 0, 0, 0]])
+        f = evaluate.score_as_flown(found, [self.picture([[50, 10, 90, 90], [160, 20, 200, 90]], [0, 0])])
+        self.assertEqual((f['person']['R'], f['person at the edge']['R'], f['person at the edge']['objects']), (0.5, 0, 1))
+
+    def test_the_figures_are_those_of_the_flying_code(self):
+        header = (pathlib.Path(evaluate.__file__).resolve().parents[1] / 'decode.h').read_text()
+        self.assertIn(f'score_threshold = {evaluate.FLYING_SCORE}F;', header)
+        self.assertIn(f'nms_iou = {evaluate.FLYING_OVERLAP}F;', header)
 
 
 class Tiles(unittest.TestCase):
