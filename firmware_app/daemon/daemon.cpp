@@ -124,7 +124,7 @@ std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
   options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
   std::string text;
   for (const std::string& line : show_config(config)) text += line + "\n";
-  options.info.emplace_back("ver_sw_release", version_words(version()));
+  options.info.emplace_back("version", version_words(version()));
   options.info.emplace_back("ver_sw", commit_words(version()));
   options.info.emplace_back("configuration", std::move(text));
   say("flight log: " + options.folder);

@@ -9,6 +9,7 @@ import tempfile
 
 import numpy as np
 import pyulog
+import pyulog.info
 
 
 def topics(log):
@@ -24,6 +25,7 @@ def main():
         assert log.msg_info_dict['sys_name'] == 'godwit'
         assert log.msg_info_dict['ver_sw'] == '1.2.3'
         assert 'camera.source' in log.msg_info_dict['configuration']
+        pyulog.info.show_info(log, False)  # as ulog_info does
         read = topics(log)
         frame, pose, mapper = read['frame'], read['pose'], read['mapper']
         np.testing.assert_array_equal(frame['sequence'], np.arange(30))

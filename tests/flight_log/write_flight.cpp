@@ -6,7 +6,7 @@ int main(int count, char** arguments) {
   if (count != 2) return 2;
   app::FlightLogOptions options;
   options.folder = arguments[1];
-  options.info = {{"ver_sw", "1.2.3"}, {"configuration", "camera.source = \"none\""}};
+  options.info = {{"ver_sw", "1.2.3"}, {"version", "1.2"}, {"configuration", "camera.source = \"none\""}};
   app::FlightLog log(options);
   for (std::uint32_t i = 0; i < 30; ++i) {
     app::FrameRecord r;
