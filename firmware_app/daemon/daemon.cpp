@@ -1,5 +1,6 @@
 #include "firmware_app/daemon/daemon.h"
 
+#include <algorithm>
 #include <array>
 #include <fmt/format.h>
 #include <functional>
@@ -122,6 +123,7 @@ std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
   FlightLogOptions options;
   options.folder = own_folder ? config.flight_log.folder : config.link.state_folder + "/flights";
   options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
+  options.file_bytes = std::min(options.file_bytes, options.budget_bytes / 8);
   std::string text;
   for (const std::string& line : show_config(config)) text += line + "\n";
   options.info.emplace_back("version", version_words(version()));
