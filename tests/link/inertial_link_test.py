@@ -15,6 +15,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import numpy as np  # noqa: E402
@@ -168,7 +169,8 @@ def recording(program, source):
     f = Fused(fused, offset, truth)
     print("      metric after %.2f s; quality %d to %d" % (f.t[0] - begin, f.quality.min(), f.quality.max()))
     error = np.linalg.norm(f.error, axis=1)
-    check((error <= 3 * f.sigma).all(), "the position is never off by more than three of the sigmas told: %.3f m at most, sigma %.3f to %.3f m" %
+    check((error <= 3 * f.sigma).all(),
+          "the position is never off by more than three of the sigmas told: %.3f m at most, sigma %.3f to %.3f m" %
           (error.max(), f.sigma.min(), f.sigma.max()))
     seen = ~f.during(begin + a, begin + b + 0.2)
     scale, ate = scale_and_ate(f.place[seen], f.true_place[seen])
@@ -186,6 +188,50 @@ def recording(program, source):
         check(f.sigma[dark][-1] > f.sigma[dark][0], "their sigma grows: %.4f to %.4f m" % (f.sigma[dark][0], f.sigma[dark][-1]))
     check(f.during(begin + b + 0.5, 1e18).any(), "after it pictures are flown by again")
     check(len({m.reset_counter for m in fused}) == 1, "no reset was told: the frame is one")
+
+
+def daemon(program, source):
+    print("godwitd with [imu]")
+    godwitd = os.path.join(os.path.dirname(program), "godwitd")
+    truth = Truth(os.path.join(source, "groundtruth_body.txt"))
+    stamps = [nanoseconds(line.split()[0]) // 1000 for line in open(os.path.join(source, "rgb.txt")) if line[0] != "#"]
+    with tempfile.TemporaryDirectory() as folder:
+        config, said = os.path.join(folder, "c.toml"), os.path.join(folder, "said")
+        open(config, "w").write('[camera]\nsource = "replay"\nsequence = "%s"\n[imu]\nsource = "replay"\n'
+                                '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n' %
+                                (os.path.abspath(source), folder))
+        sniffer, ap = Sniffer(0), EmulatedAutopilot()
+        with open(said, "w") as log:
+            process = subprocess.Popen([godwitd, "--config", config], stderr=log)
+            end = time.monotonic() + 120
+            while process.poll() is None and time.monotonic() < end:
+                ap.spin(0.05)
+            process.terminate()
+            code = process.wait(timeout=20)
+        ap.node.close()
+        text = open(said).read()
+    check(code == 0 and "IMU: flown by" in text, "flies the recording once, by its sensor, and ends with 0 (%s)" % code)
+    samples = sniffer.odometry()
+    fused = [m for _, m in samples if m.quality >= QUALITY_MIN]
+    check(len(fused) > 0.5 * len(stamps), "%d samples of %d pictures were fused" % (len(fused), len(stamps)))
+    if code != 0 or len(fused) < 100:
+        print(text)
+        return
+    check(all(m.estimator_type == 3 for m in fused), "all of them say that an inertial sensor takes part")
+    # Pictures come evenly, and the first ones may not have been sent: by how many it is, the speed tells.
+    offset, period = clock_offset(samples, stamps), stamps[1] - stamps[0]
+    flights = [Fused(fused, offset + k * period, truth) for k in range(-8, 9)]
+    f = min(flights, key=lambda flight: (flight.speed_error ** 2).sum())
+    error = np.linalg.norm(f.error, axis=1)
+    check((error <= 3 * f.sigma).all(),
+          "the position is never off by more than three of the sigmas told: %.3f m at most" % error.max())
+    scale, ate = scale_and_ate(f.place, f.true_place)
+    check(abs(scale - 1) <= 0.025 and ate <= 0.03, "the scale is off by %+.2f %%, the place by %.3f m" % (100 * (scale - 1), ate))
+    told = np.degrees([math.sqrt(m.pose_covariance[15] + m.pose_covariance[18]) for m in fused])
+    check(f.tilt.mean() <= 1.2, "level to %.2f degrees in the mean (1.2 allowed), %.2f at most; sigma told %.2f to %.2f" %
+          (f.tilt.mean(), f.tilt.max(), told.min(), told.max()))
+    speed = math.sqrt((f.speed_error ** 2).sum(axis=1).mean())
+    check(speed <= 0.05, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS" % speed)
 
 
 def autopilot(program, scenario, seed):
@@ -275,7 +321,7 @@ def main():
     parser.add_argument("--only", default="")
     args = parser.parse_args()
     if os.path.isdir(args.source):
-        cases = {"recording": lambda: recording(args.program, args.source)}
+        cases = {"recording": lambda: recording(args.program, args.source), "daemon": lambda: daemon(args.program, args.source)}
     else:
         cases = {"autopilot": lambda: autopilot(args.program, args.source, args.seed)}
     run_cases(cases, args.only)
