@@ -16,6 +16,7 @@ struct Box {
   float score = 0.F;  ///< 0..1
   int class_id = 0;   ///< index into ModelInfo::classes
   int track = -1;     ///< names the same thing from detection to detection; -1: not followed
+  int missed = 0;     ///< detections in a row that have missed it (box_hold.h)
 
   float width() const { return x1 - x0; }
   float height() const { return y1 - y0; }

@@ -21,6 +21,19 @@ detector::MaskMargin mask_margin() {
   return out;
 }
 
+/// The network tells of what it is unsure of, too: which of that counts is settled where it is known what was there.
+detector::DetectorOptions down_to_unsure(const DynamicMasksOptions& options) {
+  detector::DetectorOptions out = options.detector;
+  out.decode.score_threshold = std::min(out.decode.score_threshold, options.hold_score);
+  return out;
+}
+detector::HoldLimits hold_limits(const DynamicMasksOptions& options) {
+  detector::HoldLimits out;
+  out.sure_score = options.detector.decode.score_threshold;
+  if (options.hold_score >= out.sure_score) out.detections = 0;
+  return out;
+}
+
 /// By class: may be parked. Vehicles by COCO's and VisDrone's names; nobody else is, least of all people, whatever a
 /// network calls them: who stands goes on in a moment.
 std::vector<bool> may_park(const std::vector<std::string>& classes) {
@@ -35,11 +48,12 @@ std::vector<bool> may_park(const std::vector<std::string>& classes) {
 
 rt::Result<std::unique_ptr<DynamicMasks>> DynamicMasks::open(const DynamicMasksOptions& options,
                                                              const vo::CameraModel& camera, const rt::FramePool* pool) {
-  auto large = detector::Detector::open(options.model, options.detector);
+  const detector::DetectorOptions unsure = down_to_unsure(options);
+  auto large = detector::Detector::open(options.model, unsure);
   if (!large) return large.error();
   std::unique_ptr<detector::Detector> small;
   if (!options.small_model.empty()) {
-    auto opened = detector::Detector::open(options.small_model, options.detector);
+    auto opened = detector::Detector::open(options.small_model, unsure);
     if (!opened) return opened.error();
     if (opened.value().info().classes != large.value().info().classes)
       return rt::Error{options.small_model + ": its classes are not those of " + options.model};
@@ -56,6 +70,7 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const vo::CameraM
       large_(std::move(large)),
       small_(std::move(small)),
       carrier_(pool->layout().width, pool->layout().height, carrier_limits()),
+      hold_(hold_limits(options)),
       mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       late_mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       motion_(pool->layout().width, pool->layout().height),
@@ -94,6 +109,7 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
     // By now its picture's boxes may be known from a newer detection than when that picture came.
     std::span<const detector::Box> before;
     if (carrier_.boxes_at(newest_.t_capture_ns, &before)) parked_.correct_boxes(newest_.t_capture_ns, before);
+    detector::hold(before, hold_, &newest_.boxes);
     parked_.take_detection(newest_.t_capture_ns, newest_.boxes.view());
     if (carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
       have_mask_ = true;

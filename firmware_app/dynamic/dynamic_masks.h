@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "detector/box_carrier.h"
+#include "detector/box_hold.h"
 #include "detector/box_mask.h"
 #include "detector/detector.h"
 #include "firmware_app/dynamic/box_motion.h"
@@ -22,7 +23,10 @@ namespace godwit::app {
 struct DynamicMasksOptions {
   std::string model;        ///< ONNX file with its metadata beside it
   std::string small_model;  ///< for the smaller input of the ladder; empty: the same
+  /// decode.score_threshold: from there on a box stands for itself.
   detector::DetectorOptions detector;
+  /// Where a thing was before, the network may be as unsure as this. Not below the former: nothing is held.
+  float hold_score = 0.05F;
   /// Initialisation waits so long for the first mask (docs/architecture.md): until then everything counts as dynamic.
   rt::TimeNs first_mask_ns = 200 * rt::kNsPerMs;
 };
@@ -73,6 +77,7 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
 
   // Tracker thread's own.
   detector::BoxCarrier carrier_;
+  const detector::HoldLimits hold_;
   detector::BoxMask mask_;
   detector::BoxMask late_mask_;
   BoxMotion motion_;

@@ -137,11 +137,13 @@ void ParkedBoxes::take_detection(rt::TimeNs t_capture_ns, std::span<detector::Bo
     for (detector::Box& box : boxes) {
       const bool may = box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < may_park_.size() &&
                        may_park_[static_cast<std::size_t>(box.class_id)];
-      if (!may || box.track >= 0) continue;
+      // What is held keeps its track; that it was not seen is no sighting.
+      if (!may || box.track >= 0 || (begin && box.missed > 0)) continue;
       Track* const track = begin ? new_track() : match(*frame, box, taken);
       if (track == nullptr) continue;
       taken[static_cast<std::size_t>(track - tracks_.data())] = true;
       box.track = track->id;
+      if (box.missed > 0) continue;
       track->t_seen_ns = t_capture_ns;
       if (!frame->has_pose || cut_off(box)) continue;
       track->width_px = box.width();

@@ -30,6 +30,7 @@ struct Scene {
   std::function<double(double)> roll_at = [](double) { return 0.0; };
   std::function<bool(double)> has_pose = [](double) { return true; };
   std::function<bool(double)> detected = [](double) { return true; };
+  std::function<int(double)> missed = [](double) { return 0; };  ///< detections in a row that it is held over
   std::function<std::uint32_t(double)> map_id = [](double) { return 1U; };
   double half_wide = 2.0, half_high = 1.2, jitter = 0.0;
   int class_id = kCar;
@@ -103,6 +104,7 @@ class Flight {
       detector::Box found;
       const bool any = scene_.detected(then) && box_at(then, scene_.jitter, &found);
       found.track = 77;  // must be overwritten
+      found.missed = scene_.missed(then);
       boxes_.take_detection(time_of(frame_ - kLate), {&found, any ? 1U : 0U});
       if (any) carried_ = found;
     }
@@ -249,6 +251,17 @@ TEST(ParkedBoxes, ADetectionThatMissesItBreaksNothing) {
   Flight flight(scene);
   EXPECT_TRUE(flight.fly_to(3.5));
   EXPECT_EQ(flight.released_s(), -1);
+}
+
+TEST(ParkedBoxes, WhatIsHeldKeepsItsTrackAndIsNoSighting) {
+  Scene scene;
+  scene.camera_at = passing;
+  scene.missed = [](double t) { return t > 2.9 ? 1 : 0; };
+  Flight parked(scene);
+  ASSERT_TRUE(parked.fly_to(2.8));
+  EXPECT_TRUE(parked.fly_to(3.3)) << "one detection missed it: as parked as before";
+  scene.missed = [](double t) { return t > 0.3 ? 1 : 0; };
+  EXPECT_EQ(Flight(scene).first_parked(5), -1) << "where it was carried to says nothing of whether it stands";
 }
 
 TEST(ParkedBoxes, WithoutMapPointsAroundNothingIsKnown) {
