@@ -15,6 +15,11 @@ float part_in(const Box& a, const Box& b) {
   return w > 0.F && h > 0.F ? w * h / (a.width() * a.height()) : 0.F;
 }
 
+/// By BoxCarrier: a box that is cut off reaches the edge exactly, or beyond.
+bool cut_off(const Box& b, const HoldLimits& limits) {
+  return b.x0 <= 0.F || b.y0 <= 0.F || b.x1 >= static_cast<float>(limits.width);
+}
+
 bool accounts_for(const Box& box, const Box& before, const HoldLimits& limits) {
   return (box.class_id == before.class_id && overlap(box, before) >= limits.overlap) ||
          part_in(before, box) >= limits.covered;
@@ -22,9 +27,10 @@ bool accounts_for(const Box& box, const Box& before, const HoldLimits& limits) {
 
 }  // namespace
 
-void hold(std::span<const Box> before, const HoldLimits& limits, BoxList* found) {
+void hold(std::span<const Box> before, std::int64_t apart_ns, const HoldLimits& limits, BoxList* found) {
   before = before.first(std::min<std::size_t>(before.size(), kMaxBoxes));
   std::array<bool, kMaxBoxes> taken{};
+  for (std::size_t k = 0; k < before.size(); ++k) taken[k] = !cut_off(before[k], limits);
   const auto account = [&](const Box& box) {
     for (std::size_t k = 0; k < before.size(); ++k) taken[k] = taken[k] || accounts_for(box, before[k], limits);
   };
@@ -50,7 +56,8 @@ void hold(std::span<const Box> before, const HoldLimits& limits, BoxList* found)
     account(box);
   }
   for (std::size_t k = 0; k < before.size(); ++k) {
-    if (taken[k] || before[k].missed >= limits.detections) continue;
+    const std::int64_t unseen = before[k].missed + 1;
+    if (taken[k] || unseen > limits.detections || apart_ns > limits.longest_ns / unseen) continue;
     Box held = before[k];
     ++held.missed;
     out.push(held);

@@ -27,8 +27,9 @@ detector::DetectorOptions down_to_unsure(const DynamicMasksOptions& options) {
   out.decode.score_threshold = std::min(out.decode.score_threshold, options.hold_score);
   return out;
 }
-detector::HoldLimits hold_limits(const DynamicMasksOptions& options) {
+detector::HoldLimits hold_limits(const DynamicMasksOptions& options, const rt::FramePool& pool) {
   detector::HoldLimits out;
+  out.width = pool.layout().width;
   out.sure_score = options.detector.decode.score_threshold;
   if (options.hold_score >= out.sure_score) out.detections = 0;
   return out;
@@ -70,7 +71,7 @@ DynamicMasks::DynamicMasks(const DynamicMasksOptions& options, const vo::CameraM
       large_(std::move(large)),
       small_(std::move(small)),
       carrier_(pool->layout().width, pool->layout().height, carrier_limits()),
-      hold_(hold_limits(options)),
+      hold_(hold_limits(options, *pool)),
       mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       late_mask_(pool->layout().width, pool->layout().height, rt::kPyramidLevels, mask_margin()),
       motion_(pool->layout().width, pool->layout().height),
@@ -109,7 +110,7 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
     // By now its picture's boxes may be known from a newer detection than when that picture came.
     std::span<const detector::Box> before;
     if (carrier_.boxes_at(newest_.t_capture_ns, &before)) parked_.correct_boxes(newest_.t_capture_ns, before);
-    detector::hold(before, hold_, &newest_.boxes);
+    detector::hold(before, newest_.t_capture_ns - t_held_ns_, hold_, &newest_.boxes);
     parked_.take_detection(newest_.t_capture_ns, newest_.boxes.view());
     if (carrier_.replace(newest_.t_capture_ns, newest_.boxes.view())) {
       have_mask_ = true;

@@ -26,7 +26,7 @@ struct DynamicMasksOptions {
   /// decode.score_threshold: from there on a box stands for itself.
   detector::DetectorOptions detector;
   /// Where a thing was before, the network may be as unsure as this. Not below the former: nothing is held.
-  float hold_score = 0.05F;
+  float hold_score = 0.15F;
   /// Initialisation waits so long for the first mask (docs/architecture.md): until then everything counts as dynamic.
   rt::TimeNs first_mask_ns = 200 * rt::kNsPerMs;
 };

@@ -55,8 +55,8 @@ class ParkedBoxes {
   /// The frame's pose, if it has one.
   void note_tracked(const TrackedFrame& frame);
   /// A detection on the picture of `t_capture_ns`, one of the last kFrames: writes each box's track, -1 where it is not
-  /// followed, and judges anew. One older than the last is left out. A box that is held (Box::missed) keeps its track and
-  /// is no sighting.
+  /// followed, and judges anew. One older than the last is left out. A box that is held (Box::missed) keeps its track
+  /// and is no sighting.
   void take_detection(rt::TimeNs t_capture_ns, std::span<detector::Box> boxes);
 
   bool parked(int track) const;
