@@ -169,7 +169,7 @@ int main(int argc, char** argv) {
                  "[--score S] [--hold S]...\n");
     return 2;
   }
-  if (holds.empty()) holds = {1.F, app::DynamicMasksOptions{}.hold_score};
+  if (holds.empty()) holds = {1.F, 0.15F};
   std::map<std::string, std::vector<detector::Box>> people;
   for (const auto& row : read_table(folders[0] + "/boxes.txt"))
     people[row.at(0)].push_back(
