@@ -8,7 +8,7 @@
 namespace godwit::app {
 namespace {
 
-constexpr std::size_t kLeastPoints = 12;
+constexpr std::size_t kLeastPointsOfAView = 12;
 constexpr double kMostSigmaS = 1e-3;
 
 struct Moment {
@@ -52,7 +52,7 @@ std::optional<Readout> measure_readout(const Board& board, const std::vector<Boa
   std::vector<Moment> moments;
   for (const BoardView& v : views) {
     Moment m{rt::to_seconds(v.t_ns), false, {}, v.points};
-    m.good = v.t_ns != 0 && v.points.size() >= kLeastPoints && find_pose(board, v.points, c, &m.pose, false);
+    m.good = v.t_ns != 0 && v.points.size() >= kLeastPointsOfAView && find_pose(board, v.points, c, &m.pose, false);
     moments.push_back(std::move(m));
   }
   double readout = 0;

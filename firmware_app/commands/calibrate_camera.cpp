@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "firmware_app/commands/record_command.h"
+#include "firmware_app/commands/stopped.h"
 #include "firmware_app/program/exit_code.h"
 #if GODWIT_CALIBRATES_CAMERAS
 #include "firmware_app/calibration/camera_calibrator.h"
@@ -15,11 +16,6 @@
 
 namespace godwit::app {
 namespace {
-
-int stopped(const std::string& message, ExitCode code) {
-  fmt::print(stderr, "godwit: {}\n", message);
-  return code;
-}
 
 #if GODWIT_CALIBRATES_CAMERAS
 

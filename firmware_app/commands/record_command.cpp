@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "firmware_app/commands/stopped.h"
 #include "firmware_app/flight/devices.h"
 #include "firmware_app/output/recorder.h"
 #include "firmware_app/program/exit_code.h"
@@ -10,11 +11,6 @@
 
 namespace godwit::app {
 namespace {
-
-int stopped(const std::string& message, ExitCode code) {
-  fmt::print(stderr, "godwit: {}\n", message);
-  return code;
-}
 
 void show(const Recorded& r, std::uint64_t free_bytes) {
   fmt::print(stderr, "\r{:.0f} s: {} pictures, {} missed, {} dropped, {} bad; {} samples; {:.1f} GB free ", r.seconds,

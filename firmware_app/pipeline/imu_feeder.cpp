@@ -3,7 +3,7 @@
 namespace godwit::app {
 namespace {
 /// Clocks that are the same differ by less; a sensor's clock that runs ahead by more is not ours.
-constexpr rt::TimeNs kFutureNs = 20 * rt::kNsPerMs;
+constexpr rt::TimeNs kSamplesFutureNs = 20 * rt::kNsPerMs;
 }  // namespace
 
 hal::ImuStatus ImuFeeder::next(hal::ImuSample* sample, rt::TimeNs timeout_ns) {
@@ -11,7 +11,7 @@ hal::ImuStatus ImuFeeder::next(hal::ImuSample* sample, rt::TimeNs timeout_ns) {
   if (status == hal::ImuStatus::kFault) ++counters.faults;
   if (status != hal::ImuStatus::kSample) return status;
   const bool goes_back = any_ && sample->t_ns <= t_last_ns_;
-  const bool ahead = live_ && sample->t_ns > rt::monotonic_now_ns() + kFutureNs;
+  const bool ahead = live_ && sample->t_ns > rt::monotonic_now_ns() + kSamplesFutureNs;
   if (goes_back || ahead) {
     ++counters.implausible;
     return hal::ImuStatus::kFault;

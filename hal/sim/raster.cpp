@@ -8,7 +8,6 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 namespace godwit::sim {
 namespace {
-constexpr std::uint32_t kNone = 0xffffffffu;
 // Rotated grid: each sample has its own row and column, so that steep and flat edges are smoothed alike.
 constexpr float kSampleU[kSamples] = {-0.125f, 0.375f, -0.375f, 0.125f};
 constexpr float kSampleV[kSamples] = {-0.375f, -0.125f, 0.125f, 0.375f};
@@ -134,7 +133,7 @@ void Renderer::draw_tile(int column, int row) {
   const std::size_t first = static_cast<std::size_t>(row * kTile * rays_.stride + column * kTile);
   const float *x = rays_.x.data() + first, *y = rays_.y.data() + first;
   const Coefficients none{};
-  for (std::uint32_t n = heads_[index]; n != kNone; n = nodes_[n].next) {
+  for (std::uint32_t n = heads_[index]; n != kNoNode; n = nodes_[n].next) {
     const std::uint32_t t = nodes_[n].triangle;
     const Triangle& triangle = triangles_[t];
     if (rig_.readout_s <= 0) {

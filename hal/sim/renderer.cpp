@@ -8,7 +8,6 @@
 namespace godwit::sim {
 namespace {
 constexpr std::size_t kMaxTriangles = 120'000, kMaxNodes = 900'000, kMaxSurfaces = 60'000;
-constexpr std::uint32_t kNone = 0xffffffffu;
 constexpr std::uint32_t kBackground = 0, kGround = 1, kFarGround = 2, kSky = 3;
 constexpr double kNear = 0.05;           // [m] nothing closer is drawn
 constexpr double kGroundReachM = 166.4;  // fine relief around the camera; a coarse copy, a little lower, lies beyond
@@ -299,7 +298,7 @@ void Renderer::collect(double t_s) {
   nodes_.clear();
   movers_.clear();
   dropped_ = 0;
-  std::fill(heads_.begin(), heads_.end(), kNone);
+  std::fill(heads_.begin(), heads_.end(), kNoNode);
   Surface ground;
   ground.texture = kTexGround;
   const float texels_a_metre = static_cast<float>(world_.plan().ground_texels / kWorldM);

@@ -126,7 +126,8 @@ class Renderer {
     std::uint32_t triangle, next;
   };
   std::vector<Node> nodes_;
-  std::vector<std::uint32_t> heads_;  ///< first node of each tile
+  static constexpr std::uint32_t kNoNode = 0xffffffffu;
+  std::vector<std::uint32_t> heads_;  ///< first node of each tile, or kNoNode
   std::vector<Vec3> corner_cache_;    ///< terrain corners in the camera frame
   std::vector<float> radiance_, inverse_depth_;
   std::vector<std::uint8_t> ground_;

@@ -10,7 +10,7 @@
 
 namespace godwit::sim {
 namespace {
-constexpr double kRad = std::numbers::pi / 180.0;
+constexpr double kRadPerDeg = std::numbers::pi / 180.0;
 constexpr double kNightAmbient = 0.05;
 constexpr int kShadeCells = 64;   // a side; a power of two
 constexpr int kLightCells = 512;  // the slowly varying part of the light on the ground is worked out on this grid
@@ -22,7 +22,7 @@ double wrapped(double d) {
 
 World::World(const WorldPlan& plan, std::uint64_t seed)
     : plan_(plan), seed_(seed), terrain_(plan.kind == WorldKind::kCorridor ? 0.0 : plan.relief_m, mix(seed, 0x7e44)) {
-  const double e = plan.sun_elevation_deg * kRad, a = plan.sun_azimuth_deg * kRad;
+  const double e = plan.sun_elevation_deg * kRadPerDeg, a = plan.sun_azimuth_deg * kRadPerDeg;
   sun_ = Vec3(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
   Canvas ground(plan.ground_texels);
   Layout(this, &ground).build();

@@ -12,7 +12,7 @@
 #include "vo_core/structure_optimizer.h"
 
 namespace godwit::vo {
-namespace {
+namespace bundle_adjuster_test {
 
 using World = test::BundleWorld;
 
@@ -166,5 +166,5 @@ TEST(BundleAdjuster, TellsHowCertainTheCentreIsWhenAPointsErrorsHangTogether) {
   EXPECT_NEAR(nees_of_the_centre(0.1, 0, 0.3), 1.0, 0.3);
 }
 
-}  // namespace
+}  // namespace bundle_adjuster_test
 }  // namespace godwit::vo

@@ -9,7 +9,7 @@
 #include "vo_core/structure_optimizer.h"
 
 namespace godwit::vo {
-namespace {
+namespace bundle_problem_test {
 
 using test::BundleWorld;
 
@@ -145,5 +145,5 @@ TEST(StructureOptimizer, EndsWhereTheCostHasNoSlope) {
   }
 }
 
-}  // namespace
+}  // namespace bundle_problem_test
 }  // namespace godwit::vo

@@ -8,7 +8,7 @@
 #include "tests/vo_core/test_cameras.h"
 
 namespace godwit::vo {
-namespace {
+namespace camera_model_opencv_test {
 
 std::vector<cv::Point3d> points_in_view(const CameraModel& camera) {
   std::mt19937 random(5);
@@ -56,5 +56,5 @@ TEST(CameraModelOpenCv, KannalaBrandtEqualsFisheye) {
   }
 }
 
-}  // namespace
+}  // namespace camera_model_opencv_test
 }  // namespace godwit::vo

@@ -10,7 +10,7 @@
 #include "tests/vo_core/test_cameras.h"
 
 namespace godwit::vo {
-namespace {
+namespace camera_model_test {
 
 class EachCamera : public testing::TestWithParam<CameraModel (*)()> {};
 INSTANTIATE_TEST_SUITE_P(CameraModel, EachCamera, testing::Values(&test::tum_fr1, &test::euroc, &test::fisheye));
@@ -141,5 +141,5 @@ TEST(CameraModel, RefusesBadCalibrationNamingTheReason) {
   expect_refused({}, -3.0, "folds inside the picture");
 }
 
-}  // namespace
+}  // namespace camera_model_test
 }  // namespace godwit::vo

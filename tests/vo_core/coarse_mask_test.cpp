@@ -7,7 +7,7 @@
 #include <vector>
 
 namespace godwit::vo {
-namespace {
+namespace coarse_mask_test {
 
 TEST(CoarseMask, IsLevelThreeOfTheMaskPyramid) {
   std::vector<std::uint8_t> level(40 * 30, 0);
@@ -67,5 +67,5 @@ TEST(CoarseMask, NoMaskMasksNothing) {
   EXPECT_FALSE(coarse->masked(Vec2f(0.0f, 0.0f)));
 }
 
-}  // namespace
+}  // namespace coarse_mask_test
 }  // namespace godwit::vo

@@ -16,7 +16,7 @@
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
-namespace {
+namespace crowd_test {
 
 constexpr rt::TimeNs kFrameNs = 33'333'333;
 /// So many pictures without movers begin each flight.
@@ -411,5 +411,5 @@ TEST(Crowd, MatchesThatAgreeMakeAPointSooner) {
   EXPECT_EQ(points_made(0.3, MapperOptions{}.agreeing_matches).points, points_made(0.3, 1 << 20).points);
 }
 
-}  // namespace
+}  // namespace crowd_test
 }  // namespace godwit::vo

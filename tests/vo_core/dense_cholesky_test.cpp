@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::vo {
-namespace {
+namespace dense_cholesky_test {
 
 constexpr int kSize = 18, kStride = 24;
 using Padded = Eigen::Matrix<double, kStride, kStride, Eigen::RowMajor>;
@@ -42,5 +42,5 @@ TEST(DenseCholesky, AMatrixThatIsNotPositiveIsRefused) {
   EXPECT_FALSE(cholesky_factor(S.data(), kSize, kStride));
 }
 
-}  // namespace
+}  // namespace dense_cholesky_test
 }  // namespace godwit::vo

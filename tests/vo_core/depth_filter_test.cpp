@@ -6,7 +6,7 @@
 #include <random>
 
 namespace godwit::vo {
-namespace {
+namespace depth_filter_test {
 
 TEST(DepthFilter, ConvergesToTheDepthAmongBadMeasurements) {
   std::mt19937 random(1);
@@ -94,5 +94,5 @@ TEST(DepthFilter, NoBaselineMeansNoInformation) {
   EXPECT_GT(inverse_depth_variance(Vec3::Zero(), Vec3::UnitZ(), 1.0, 1e-3), 1e6);
 }
 
-}  // namespace
+}  // namespace depth_filter_test
 }  // namespace godwit::vo

@@ -7,7 +7,7 @@
 #include "tests/vo_core/synthetic_picture.h"
 
 namespace godwit::vo {
-namespace {
+namespace edgelet_test {
 
 /// A soft straight edge through (32, 32), bright on the side of the angle.
 test::Picture edge(double angle_rad, double slope) {
@@ -53,5 +53,5 @@ TEST(Edgelet, FlatOrMaskedGivesNone) {
   EXPECT_EQ(e.y, 50);
 }
 
-}  // namespace
+}  // namespace edgelet_test
 }  // namespace godwit::vo

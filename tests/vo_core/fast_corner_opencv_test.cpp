@@ -8,7 +8,7 @@
 #include "vo_core/fast_corner.h"
 
 namespace godwit::vo {
-namespace {
+namespace fast_corner_opencv_test {
 
 using Points = std::set<std::pair<int, int>>;
 
@@ -66,5 +66,5 @@ TEST_P(EachThreshold, SameCornersAsOpenCv) {
   }
 }
 
-}  // namespace
+}  // namespace fast_corner_opencv_test
 }  // namespace godwit::vo

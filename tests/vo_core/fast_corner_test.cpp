@@ -8,7 +8,7 @@
 #include "tests/vo_core/synthetic_picture.h"
 
 namespace godwit::vo {
-namespace {
+namespace fast_corner_test {
 
 TEST(FastCorner, ScoreIsTheSmallestDifferenceOfTheBestArc) {
   test::Picture picture(7, 7, 100);
@@ -93,5 +93,5 @@ TEST(FastCorner, MaximaEqualScalarAndPlateausGiveOne) {
   EXPECT_EQ(fast_maxima_row(top.data(), top.data(), zero.data(), 1, 5, xs), 0);
 }
 
-}  // namespace
+}  // namespace fast_corner_test
 }  // namespace godwit::vo

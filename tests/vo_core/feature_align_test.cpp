@@ -6,7 +6,7 @@
 #include "tests/vo_core/synthetic_picture.h"
 
 namespace godwit::vo {
-namespace {
+namespace feature_align_test {
 
 double pattern(double x, double y) {
   return 120.0 + 40.0 * std::sin(0.55 * x + 0.2 * y) + 35.0 * std::cos(0.45 * y - 0.15 * x) +
@@ -83,5 +83,5 @@ TEST(FeatureAlign, RefusesFlatPatchesTheEdgeOfThePictureAndTooLongWays) {
   EXPECT_EQ(far, Vec2f(30.0f, 31.0f)) << "a failure leaves the place as it was";
 }
 
-}  // namespace
+}  // namespace feature_align_test
 }  // namespace godwit::vo

@@ -13,7 +13,7 @@
 #include "vo_core/fast_corner.h"
 
 namespace godwit::vo {
-namespace {
+namespace feature_detector_test {
 
 std::vector<Feature> detect(FeatureDetector& detector, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                             const std::vector<Vec2f>& occupied, int wanted) {
@@ -284,5 +284,5 @@ TEST(FeatureDetector, DoesNotAllocate) {
   }
 }
 
-}  // namespace
+}  // namespace feature_detector_test
 }  // namespace godwit::vo

@@ -11,7 +11,7 @@
 #include "tests/vo_core/test_cameras.h"
 
 namespace godwit::vo {
-namespace {
+namespace frame_noise_test {
 
 using Noise = std::function<Vec2(std::mt19937&, const Vec2& px)>;
 
@@ -131,5 +131,5 @@ TEST(FrameNoise, WithoutMeasurementsNothingIsKnown) {
   EXPECT_EQ(noise.covariance(test::euroc(), {}, SE3(), 1.0).noise, Mat6::Identity());
 }
 
-}  // namespace
+}  // namespace frame_noise_test
 }  // namespace godwit::vo

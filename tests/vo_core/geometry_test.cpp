@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::vo {
-namespace {
+namespace geometry_test {
 
 TEST(Geometry, ExpAndLogOfRigidMotionsUndoEachOther) {
   for (const double angle : {0.0, 1e-9, 1e-4, 0.3, 2.0, 3.0}) {
@@ -29,5 +29,5 @@ TEST(Geometry, InverseUndoesAMotion) {
   EXPECT_LT(((T * T.inverse()).R - Mat3::Identity()).norm(), 1e-12);
 }
 
-}  // namespace
+}  // namespace geometry_test
 }  // namespace godwit::vo

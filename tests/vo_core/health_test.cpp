@@ -5,7 +5,7 @@
 #include <string>
 
 namespace godwit::vo {
-namespace {
+namespace health_test {
 
 using Kind = FrameEvidence::Kind;
 constexpr rt::TimeNs kFrame = 33 * rt::kNsPerMs;
@@ -132,5 +132,5 @@ TEST_F(HealthTest, ARepeatedPictureLeavesTheStateAloneUntilItLasts) {
   EXPECT_EQ(step(Kind::kSamePicture), State::kRelocalising);
 }
 
-}  // namespace
+}  // namespace health_test
 }  // namespace godwit::vo

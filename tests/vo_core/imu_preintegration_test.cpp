@@ -10,7 +10,7 @@
 #include <random>
 
 namespace godwit::vo {
-namespace {
+namespace imu_preintegration_test {
 
 constexpr double kG = 9.81;
 const Vec3 kGravity(0, 0, -kG);
@@ -181,5 +181,5 @@ TEST(ImuBuffer, RefusesNonsenseAndKeepsTwoSeconds) {
   EXPECT_EQ(buffer->newest_ns(), 5);
 }
 
-}  // namespace
+}  // namespace imu_preintegration_test
 }  // namespace godwit::vo

@@ -13,7 +13,7 @@
 #include "tests/vo_core/inertial_flight.h"
 
 namespace godwit::vo {
-namespace {
+namespace inertial_odometry_test {
 
 using test::Flight;
 
@@ -194,5 +194,5 @@ TEST(InertialOdometry, DoesNotAllocate) {
   EXPECT_TRUE(flown.odometry_->metric());
 }
 
-}  // namespace
+}  // namespace inertial_odometry_test
 }  // namespace godwit::vo

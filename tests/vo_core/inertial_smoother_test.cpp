@@ -11,7 +11,7 @@
 #include "vo_core/inertial_alignment.h"
 
 namespace godwit::vo {
-namespace {
+namespace inertial_smoother_test {
 
 using S = InertialState;
 using test::Flight;
@@ -185,5 +185,5 @@ TEST(InertialSmoother, AMapThatMovesTakesAllAlong) {
   EXPECT_LT(angle_between(smoother->newest().up, turn * before.up), 1e-3);
 }
 
-}  // namespace
+}  // namespace inertial_smoother_test
 }  // namespace godwit::vo

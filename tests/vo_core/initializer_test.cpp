@@ -1,45 +1,15 @@
 #include "vo_core/initializer.h"
 
-#include <atomic>
-#include <cstdlib>
 #include <gtest/gtest.h>
 #include <memory>
-#include <new>
 
+#include "hal/rt/alloc_hook.h"
+#include "hal/rt/rt_scope.h"
 #include "tests/vo_core/scene_points.h"
 #include "tests/vo_core/synthetic_scene.h"
 
-namespace {
-std::atomic<long> allocations{0};
-}  // namespace
-
-// Counts every allocation of the program. Not inlined: GCC would see malloc meet delete.
-[[gnu::noinline]] void* operator new(std::size_t size) {
-  ++allocations;
-  if (void* p = std::malloc(size)) return p;
-  throw std::bad_alloc();
-}
-[[gnu::noinline]] void* operator new(std::size_t size, std::align_val_t align) {
-  ++allocations;
-  const auto a = static_cast<std::size_t>(align);
-  if (void* p = std::aligned_alloc(a, (size + a - 1) / a * a)) return p;
-  throw std::bad_alloc();
-}
-[[gnu::noinline]] void operator delete(void* p) noexcept {
-  std::free(p);
-}
-[[gnu::noinline]] void operator delete(void* p, std::size_t) noexcept {
-  std::free(p);
-}
-[[gnu::noinline]] void operator delete(void* p, std::align_val_t) noexcept {
-  std::free(p);
-}
-[[gnu::noinline]] void operator delete(void* p, std::size_t, std::align_val_t) noexcept {
-  std::free(p);
-}
-
 namespace godwit::vo {
-namespace {
+namespace initializer_test {
 
 using namespace test;  // NOLINT: the pictures of this folder's tests
 
@@ -97,8 +67,8 @@ Outcome run(Initializer* init, const Shots& shots, const rt::MaskPyramidView& ma
 }
 
 void expect_good_map(const Initializer& init, const SyntheticScene& scene, const SE3& T_cur_ref) {
-  EXPECT_LT(testing::direction_error_deg(init.T_cur_ref(), T_cur_ref), 3.0);
-  EXPECT_LT(testing::rotation_error_deg(init.T_cur_ref(), T_cur_ref), 0.2);
+  EXPECT_LT(scenes::direction_error_deg(init.T_cur_ref(), T_cur_ref), 3.0);
+  EXPECT_LT(scenes::rotation_error_deg(init.T_cur_ref(), T_cur_ref), 0.2);
   // Depths against the scene: one scale for all, errors as large as promised.
   std::vector<double> ratio, depth, normalised;
   for (const InitPoint& p : init.points()) {
@@ -203,10 +173,13 @@ TEST(Initializer, SameFramesSameMapToTheBit) {
 TEST(Initializer, DoesNotAllocateAfterConstruction) {
   general_shots();
   Initializer init(camera(), {});
-  const long before = allocations;
-  ASSERT_GT(before, 0) << "the counter works";
-  const Outcome r = run(&init, general_shots());
-  EXPECT_EQ(allocations - before, 0);
+  Outcome r;
+  const rt::HeapCounts before = rt::rt_heap_counts();
+  {
+    const rt::RtScope scope;
+    r = run(&init, general_shots());
+  }
+  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
   EXPECT_EQ(r.report.status, InitStatus::kDone);
 }
 
@@ -232,13 +205,13 @@ TEST(Initializer, KnowsTheRollingShutter) {
     const Outcome r = run(&init, shots);
     if (r.report.status != InitStatus::kDone) return 180.0;
     const SE3 truth = shots[r.frames - 1]->T_cam_world * shots[0]->T_cam_world.inverse();
-    return testing::direction_error_deg(init.T_cur_ref(), truth) +
-           10 * testing::rotation_error_deg(init.T_cur_ref(), truth);
+    return scenes::direction_error_deg(init.T_cur_ref(), truth) +
+           10 * scenes::rotation_error_deg(init.T_cur_ref(), truth);
   };
   const double knowing = error_deg(kReadout), not_knowing = error_deg(0.0);
   EXPECT_LT(knowing, 5.0);
   EXPECT_LT(knowing, 0.5 * not_knowing);
 }
 
-}  // namespace
+}  // namespace initializer_test
 }  // namespace godwit::vo

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::vo {
-namespace {
+namespace keyframe_selector_test {
 
 /// A frame near its keyframe that sees as much as it did.
 KeyframeFigures quiet() {
@@ -87,5 +87,5 @@ TEST(KeyframeSelector, WhatMoversLayBareCallsForOne) {
   EXPECT_EQ(select(f), KeyframeReason::kNone) << "not two in a row";
 }
 
-}  // namespace
+}  // namespace keyframe_selector_test
 }  // namespace godwit::vo

@@ -5,7 +5,7 @@
 #include "tests/vo_core/synthetic_scene.h"
 
 namespace godwit::vo {
-namespace {
+namespace klt_tracker_test {
 
 using namespace test;  // NOLINT: the pictures of this folder's tests
 
@@ -92,5 +92,5 @@ TEST(KltTracker, TakesNoMoreThanItsCapacity) {
   EXPECT_EQ(tracker.tracks().size(), static_cast<std::size_t>(KltTracker::kMaxTracks));
 }
 
-}  // namespace
+}  // namespace klt_tracker_test
 }  // namespace godwit::vo

@@ -10,7 +10,7 @@
 #include "tests/vo_core/synthetic_scene.h"
 
 namespace godwit::vo {
-namespace {
+namespace landmark_finder_test {
 
 CameraModel camera() {
   return CameraModel::pinhole_radtan(640, 480, 520, 520, 320, 240, {}).value();
@@ -162,5 +162,5 @@ TEST_F(LandmarkFinderTest, NothingIsAllocated) {
   EXPECT_TRUE(found);
 }
 
-}  // namespace
+}  // namespace landmark_finder_test
 }  // namespace godwit::vo

@@ -13,7 +13,7 @@
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
-namespace {
+namespace late_mask_test {
 
 constexpr int kWidth = 320, kHeight = 240, kFrames = 24;
 constexpr rt::TimeNs kInterval = 33'333'333;
@@ -189,5 +189,5 @@ TEST(LateMask, WithoutRoomForTheMessageItIsToBeTriedAgain) {
   EXPECT_TRUE(flight.tracker().late_mask(flight.newest_keyframe(), mask.view));
 }
 
-}  // namespace
+}  // namespace late_mask_test
 }  // namespace godwit::vo

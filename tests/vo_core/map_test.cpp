@@ -6,7 +6,7 @@
 #include "vo_core/map_channel.h"
 
 namespace godwit::vo {
-namespace {
+namespace map_test {
 
 KeyframeFeature sees(PointHandle h) {
   KeyframeFeature f;
@@ -120,5 +120,5 @@ TEST(KeyframeSelector, EachReasonHasItsLimit) {
   EXPECT_EQ(select_keyframe(o, f), KeyframeReason::kNone);
 }
 
-}  // namespace
+}  // namespace map_test
 }  // namespace godwit::vo

@@ -12,7 +12,7 @@
 #include "tests/vo_core/synthetic_scene.h"
 
 namespace godwit::vo {
-namespace {
+namespace mapper_test {
 
 class MapperTest : public testing::Test {
  protected:
@@ -153,5 +153,5 @@ TEST_F(MapperTest, HoveringAndTurningOnTheSpotCostNoSeeds) {
   }
 }
 
-}  // namespace
+}  // namespace mapper_test
 }  // namespace godwit::vo

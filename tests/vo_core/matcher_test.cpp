@@ -8,7 +8,7 @@
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
-namespace {
+namespace matcher_test {
 
 struct Views {
   CameraModel camera = CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {0.05, -0.02, 0, 0, 0}).value();
@@ -167,5 +167,5 @@ TEST(Matcher, TriangulationRefusesParallelRays) {
   EXPECT_NEAR(depth, p.norm(), 1e-9);
 }
 
-}  // namespace
+}  // namespace matcher_test
 }  // namespace godwit::vo

@@ -5,7 +5,7 @@
 #include <vector>
 
 namespace godwit::vo {
-namespace {
+namespace motion_gate_test {
 
 constexpr int kWidth = 640, kHeight = 480;
 
@@ -83,5 +83,5 @@ TEST(MotionGate, NoFeaturesAreNoError) {
   EXPECT_EQ(gate().run({}, {}), 0);
 }
 
-}  // namespace
+}  // namespace motion_gate_test
 }  // namespace godwit::vo

@@ -8,9 +8,9 @@
 #include "vo_core/rotation_fit.h"
 
 namespace godwit::vo {
-namespace {
+namespace multi_view_refine_test {
 
-using namespace testing;  // NOLINT: the scenes of this folder's tests
+using namespace scenes;  // NOLINT: the scenes of this folder's tests
 constexpr double kFocal = 500.0;
 
 TEST(InverseDepthResidual, JacobiansAgreeWithNumericOnes) {
@@ -150,5 +150,5 @@ TEST(FitRotation, LeavesNothingOverUnderPureRotationAndParallaxOtherwise) {
   EXPECT_GT(fit_rotation(a, observe(points, move, 0, &random), kFocal, scratch, &R), 3.0);
 }
 
-}  // namespace
+}  // namespace multi_view_refine_test
 }  // namespace godwit::vo

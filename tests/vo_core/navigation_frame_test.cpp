@@ -13,7 +13,7 @@
 #include "tests/vo_core/inertial_flight.h"
 
 namespace godwit::vo {
-namespace {
+namespace navigation_frame_test {
 
 using test::Flight;
 using Source = NavigationPose::Source;
@@ -354,5 +354,5 @@ TEST(NavigationFrame, DoesNotAllocate) {
   EXPECT_EQ(f.navigation_.frame_id(), 1u);
 }
 
-}  // namespace
+}  // namespace navigation_frame_test
 }  // namespace godwit::vo

@@ -12,7 +12,7 @@
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
-namespace {
+namespace odometry_test {
 
 CameraModel small_camera() {
   return CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {0.05, -0.02, 0, 0, 0}).value();
@@ -337,5 +337,5 @@ TEST(Odometry, AMaskOverEverythingLeavesTheProvedPointsAndSaysSo) {
   EXPECT_GT(free.points.back(), free.points[kMasked + 2]) << "of free pictures something does";
 }
 
-}  // namespace
+}  // namespace odometry_test
 }  // namespace godwit::vo

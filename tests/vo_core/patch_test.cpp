@@ -8,7 +8,7 @@
 #include "tests/vo_core/synthetic_picture.h"
 
 namespace godwit::vo {
-namespace {
+namespace patch_test {
 
 /// Noise over the full range: neighbouring pixels differ as much as they can.
 test::Picture noise(int width, int height) {
@@ -78,5 +78,5 @@ TEST(Patch, OneSampleEqualsTheGridsAndTheDefinition) {
   }
 }
 
-}  // namespace
+}  // namespace patch_test
 }  // namespace godwit::vo

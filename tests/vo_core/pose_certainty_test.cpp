@@ -6,7 +6,7 @@
 #include <random>
 
 namespace godwit::vo {
-namespace {
+namespace pose_certainty_test {
 
 Mat6 some_covariance(unsigned seed, double size) {
   std::mt19937 random(seed);
@@ -119,5 +119,5 @@ TEST(PoseCertainty, InTheMapUncertaintyGrowsAlongTheKeyframes) {
   EXPECT_EQ(f.certainty.in_map(*f.map, f.at(100)), f.at(100).covariance) << "the first keyframe is where the world is";
 }
 
-}  // namespace
+}  // namespace pose_certainty_test
 }  // namespace godwit::vo

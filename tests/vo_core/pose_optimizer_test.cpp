@@ -9,7 +9,7 @@
 #include "tests/vo_core/test_cameras.h"
 
 namespace godwit::vo {
-namespace {
+namespace pose_optimizer_test {
 
 SE3 some_pose() {
   Vec6 x;
@@ -157,5 +157,5 @@ TEST(PoseOptimizer, RefusesMeasurementsThatFitNoPose) {
   EXPECT_FALSE(optimize_pose(camera, {}, m, &T).ok);
 }
 
-}  // namespace
+}  // namespace pose_optimizer_test
 }  // namespace godwit::vo

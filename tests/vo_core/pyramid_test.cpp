@@ -6,7 +6,7 @@
 #include <vector>
 
 namespace godwit::vo {
-namespace {
+namespace pyramid_test {
 
 /// Filled with noise, full range: any carry or rounding mistake shows.
 std::vector<std::uint8_t> noise(std::size_t size) {
@@ -82,5 +82,5 @@ TEST(Pyramid, OneLevelIsThePictureItself) {
   EXPECT_EQ(pyramid.level[0].data, base.data());
 }
 
-}  // namespace
+}  // namespace pyramid_test
 }  // namespace godwit::vo

@@ -13,7 +13,7 @@
 #include "vo_core/feature_detector.h"
 
 namespace godwit::vo {
-namespace {
+namespace quadtree_figure_opencv_test {
 
 class RealPictures : public testing::TestWithParam<const char*> {};
 INSTANTIATE_TEST_SUITE_P(QuadtreeFigure, RealPictures, testing::Values("tum_fr1_xyz", "euroc_mh01"));
@@ -65,5 +65,5 @@ TEST_P(RealPictures, QuadtreeAgainstPlainFastUnderAMask) {
               static_cast<double>(plain_cells) / pictures);
 }
 
-}  // namespace
+}  // namespace quadtree_figure_opencv_test
 }  // namespace godwit::vo

@@ -8,7 +8,7 @@
 #include <vector>
 
 namespace godwit::vo {
-namespace {
+namespace quadtree_test {
 
 std::vector<std::int32_t> select(Quadtree& tree, int wanted) {
   std::vector<std::int32_t> ids(static_cast<std::size_t>(wanted), -1);
@@ -103,5 +103,5 @@ TEST(Quadtree, RefusesWhatIsOutsideAndWhatIsTooMuch) {
   EXPECT_TRUE(tree.add_candidate(6, 6, 1, 1));
 }
 
-}  // namespace
+}  // namespace quadtree_test
 }  // namespace godwit::vo

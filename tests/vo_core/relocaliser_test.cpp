@@ -9,7 +9,7 @@
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
-namespace {
+namespace relocaliser_test {
 
 CameraModel camera() {
   return CameraModel::pinhole_radtan(320, 240, 260, 260, 160, 120, {}).value();
@@ -133,5 +133,5 @@ TEST_F(RelocaliserTest, AKeyframeThatWasReplacedIsNotTakenForTheNewOne) {
   EXPECT_EQ(relocaliser_.guess(map_, now.pyramid, {}, 0).place, -1);
 }
 
-}  // namespace
+}  // namespace relocaliser_test
 }  // namespace godwit::vo

@@ -11,7 +11,7 @@
 #include "vo_core/tracker.h"
 
 namespace godwit::vo {
-namespace {
+namespace rolling_flight_test {
 
 constexpr int kWidth = 320, kHeight = 240;
 constexpr double kIntervalS = 1.0 / 30, kReadout = 0.7;
@@ -199,5 +199,5 @@ TEST(RollingFlight, PosesKnowHowWrongTheyAre) {
   EXPECT_GT(inside, judged * 4 / 10);
 }
 
-}  // namespace
+}  // namespace rolling_flight_test
 }  // namespace godwit::vo

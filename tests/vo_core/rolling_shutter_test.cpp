@@ -5,7 +5,7 @@
 #include "tests/vo_core/test_cameras.h"
 
 namespace godwit::vo {
-namespace {
+namespace rolling_shutter_test {
 
 // What a rolling shutter really sees: the row at which the point appears decides when, by iteration.
 TEST(RollingShutter, FirstOrderModelFollowsTheExactOne) {
@@ -38,5 +38,5 @@ TEST(RollingShutter, TheReferenceRowDoesNotMove) {
   EXPECT_LT(rolling_displacement({0.02, 0.5}, 480, p, J, 240.0, velocity).norm(), 1e-12);
 }
 
-}  // namespace
+}  // namespace rolling_shutter_test
 }  // namespace godwit::vo

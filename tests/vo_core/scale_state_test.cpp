@@ -7,7 +7,7 @@
 #include <random>
 
 namespace godwit::vo {
-namespace {
+namespace scale_state_test {
 
 using Source = ScaleSource;
 using Verdict = ScaleVerdict;
@@ -234,5 +234,5 @@ TEST(ScaleState, WhatIsNoNumberOrTooShortChangesNothing) {
   EXPECT_EQ(s.take(late), Verdict::kNoNumber) << "times that go back";
 }
 
-}  // namespace
+}  // namespace scale_state_test
 }  // namespace godwit::vo

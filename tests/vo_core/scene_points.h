@@ -6,7 +6,7 @@
 
 #include "vo_core/geometry.h"
 
-namespace godwit::vo::testing {
+namespace godwit::vo::scenes {
 
 enum class Scene { kPlane, kGeneral };
 
@@ -54,4 +54,4 @@ inline double rotation_error_deg(const SE3& a, const SE3& b) {
   return so3_log(a.R.transpose() * b.R).norm() * 180.0 / M_PI;
 }
 
-}  // namespace godwit::vo::testing
+}  // namespace godwit::vo::scenes

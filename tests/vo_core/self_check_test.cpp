@@ -9,7 +9,7 @@
 #include <string>
 
 namespace godwit::vo {
-namespace {
+namespace self_check_test {
 
 constexpr rt::TimeNs kStep = rt::kNsPerSecond / 2;
 
@@ -90,5 +90,5 @@ TEST(SelfCheck, WhatIsNoNumberIsTheWorstAndStaysANumber) {
   EXPECT_TRUE(ended);
 }
 
-}  // namespace
+}  // namespace self_check_test
 }  // namespace godwit::vo

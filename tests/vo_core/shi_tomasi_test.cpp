@@ -7,7 +7,7 @@
 #include "vo_core/geometry.h"
 
 namespace godwit::vo {
-namespace {
+namespace shi_tomasi_test {
 
 /// The definition, in floating point, eigenvalue by Eigen.
 double reference(const rt::ImageView& image, int x, int y) {
@@ -52,5 +52,5 @@ TEST(ShiTomasi, ZeroWhereThePatchLeavesThePicture) {
   }
 }
 
-}  // namespace
+}  // namespace shi_tomasi_test
 }  // namespace godwit::vo

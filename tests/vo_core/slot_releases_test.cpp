@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::vo {
-namespace {
+namespace slot_releases_test {
 
 TEST(SlotReleases, NoneIsDroppedHoweverManyWait) {
   SlotReleases releases;
@@ -21,5 +21,5 @@ TEST(SlotReleases, NoneIsDroppedHoweverManyWait) {
   EXPECT_FALSE(releases.take(&one));
 }
 
-}  // namespace
+}  // namespace slot_releases_test
 }  // namespace godwit::vo

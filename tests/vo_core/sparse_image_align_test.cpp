@@ -9,7 +9,7 @@
 #include "vo_core/pyramid.h"
 
 namespace godwit::vo {
-namespace {
+namespace sparse_image_align_test {
 
 struct View {
   test::Picture picture;
@@ -178,5 +178,5 @@ TEST(SparseImageAlign, ABlackPictureGivesFiniteNumbers) {
   EXPECT_TRUE(r.T_cur_ref.R.allFinite());
 }
 
-}  // namespace
+}  // namespace sparse_image_align_test
 }  // namespace godwit::vo

@@ -8,9 +8,9 @@
 #include "vo_core/homography.h"
 
 namespace godwit::vo {
-namespace {
+namespace two_view_geometry_test {
 
-using namespace testing;  // NOLINT: the scenes of this folder's tests
+using namespace scenes;  // NOLINT: the scenes of this folder's tests
 constexpr double kFocal = 500.0;
 
 SE3 motion() {
@@ -146,5 +146,5 @@ TEST(TwoView, TooFewOrCoincidingPointsGiveNoModel) {
   EXPECT_EQ(geometry.estimate(many, many, kFocal).model, InitModel::kNone);
 }
 
-}  // namespace
+}  // namespace two_view_geometry_test
 }  // namespace godwit::vo

@@ -10,10 +10,10 @@ namespace {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-using Wide = hn::ScalableTag<std::int16_t>;
-using Narrow = hn::Rebind<std::uint8_t, Wide>;
+using Shorts = hn::ScalableTag<std::int16_t>;
+using HalfBytes = hn::Rebind<std::uint8_t, Shorts>;
 using Bytes = hn::ScalableTag<std::uint8_t>;
-using Pixels = hn::Vec<Narrow>;
+using Pixels = hn::Vec<HalfBytes>;
 
 /// Pixels whose colours are reckoned before they are put beside one another: fits a level-1 cache.
 constexpr std::size_t kRun = 256;
@@ -23,15 +23,15 @@ struct Planes {
   alignas(64) std::array<std::uint8_t, kRun> blue, green, red;
 };
 
-std::uint8_t byte_of(int value) {
+std::uint8_t saturated(int value) {
   return static_cast<std::uint8_t>(std::clamp(value, 0, 255));
 }
 
 /// Of pixels at even and at odd places, which share their chroma. As bgr_of_yuv to the bit: whole 256ths are taken out
 /// of the factors (298 = 256 + 42, 516 = 512 + 4, 208 = 256 - 48, 409 = 256 + 153), and what is left fits 16 bits.
 void colours(Pixels even, Pixels odd, Pixels u, Pixels v, std::size_t at, Planes* to) {
-  const Wide wide;
-  const Narrow narrow;
+  const Shorts wide;
+  const HalfBytes narrow;
   const auto times = [&](auto x, std::int16_t factor) { return hn::Mul(x, hn::Set(wide, factor)); };
   const auto d = hn::Sub(hn::PromoteTo(wide, u), hn::Set(wide, 128));
   const auto e = hn::Sub(hn::PromoteTo(wide, v), hn::Set(wide, 128));
@@ -72,7 +72,7 @@ void put_together(const Planes& p, std::size_t count, std::uint8_t* bgr) {
 /// read(x, ..): luma at even and odd places, U and V from pixel x on; scalar(x): one pair of pixels.
 template <typename Read, typename Pair>
 void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
-  const std::size_t step = 2 * hn::Lanes(Narrow());
+  const std::size_t step = 2 * hn::Lanes(Bytes());
   Planes planes;
   std::size_t x = 0;
   while (x + step <= width) {
@@ -91,9 +91,9 @@ void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
 
 void bgr_of_yuv(int y, int u, int v, std::uint8_t* to) {
   const int c = 298 * std::max(0, y - 16) + 128, d = u - 128, e = v - 128;
-  to[0] = byte_of((c + 516 * d) >> 8);
-  to[1] = byte_of((c - 100 * d - 208 * e) >> 8);
-  to[2] = byte_of((c + 409 * e) >> 8);
+  to[0] = saturated((c + 516 * d) >> 8);
+  to[1] = saturated((c - 100 * d - 208 * e) >> 8);
+  to[2] = saturated((c + 409 * e) >> 8);
 }
 
 void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint8_t* bgr) {
@@ -111,7 +111,7 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
   row(
       w, bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
-        hn::LoadInterleaved4(Narrow(), from + 2 * at, even, u, odd, v);
+        hn::LoadInterleaved4(Bytes(), from + 2 * at, even, u, odd, v);
       },
       [&](std::size_t at) {
         const std::uint8_t* const p = from + 2 * at;
@@ -124,8 +124,8 @@ void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, s
   row(
       static_cast<std::size_t>(width), bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
-        hn::LoadInterleaved2(Narrow(), luma + at, even, odd);
-        hn::LoadInterleaved2(Narrow(), chroma + at, u, v);
+        hn::LoadInterleaved2(Bytes(), luma + at, even, odd);
+        hn::LoadInterleaved2(Bytes(), chroma + at, u, v);
       },
       [&](std::size_t at) {
         bgr_of_yuv(luma[at], chroma[at], chroma[at + 1], bgr + 3 * at);
