@@ -72,7 +72,7 @@ void put_together(const Planes& p, std::size_t count, std::uint8_t* bgr) {
 /// read(x, ..): luma at even and odd places, U and V from pixel x on; scalar(x): one pair of pixels.
 template <typename Read, typename Pair>
 void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
-  const std::size_t step = 2 * hn::Lanes(Bytes());
+  const std::size_t step = 2 * hn::Lanes(HalfBytes());
   Planes planes;
   std::size_t x = 0;
   while (x + step <= width) {
@@ -111,7 +111,7 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
   row(
       w, bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
-        hn::LoadInterleaved4(Bytes(), from + 2 * at, even, u, odd, v);
+        hn::LoadInterleaved4(HalfBytes(), from + 2 * at, even, u, odd, v);
       },
       [&](std::size_t at) {
         const std::uint8_t* const p = from + 2 * at;
@@ -124,8 +124,8 @@ void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, s
   row(
       static_cast<std::size_t>(width), bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
-        hn::LoadInterleaved2(Bytes(), luma + at, even, odd);
-        hn::LoadInterleaved2(Bytes(), chroma + at, u, v);
+        hn::LoadInterleaved2(HalfBytes(), luma + at, even, odd);
+        hn::LoadInterleaved2(HalfBytes(), chroma + at, u, v);
       },
       [&](std::size_t at) {
         bgr_of_yuv(luma[at], chroma[at], chroma[at + 1], bgr + 3 * at);
