@@ -14,7 +14,7 @@ namespace godwit::app {
 namespace {
 
 constexpr rt::TimeNs kListenNs = 1500 * rt::kNsPerMs;
-constexpr double kRateTolerance = 0.1;
+constexpr double kImuRateTolerance = 0.1;
 constexpr double kGravity = 9.81, kGravityTolerance = 0.8;  // [m/s^2]
 constexpr double kTurning = 0.1;                            // [rad/s]
 
@@ -72,7 +72,7 @@ void judge_imu(const std::string& name, double rate_hz, hal::Imu* imu, DoctorRep
   turn /= readings;
   const double rate = last > first ? (readings - 1) / rt::to_seconds(last - first) : 0;
   report->fits(fmt::format("{}: {:.0f} readings a second", name, rate));
-  if (rate_hz > 0 && std::abs(rate / rate_hz - 1) > kRateTolerance) {
+  if (rate_hz > 0 && std::abs(rate / rate_hz - 1) > kImuRateTolerance) {
     report->wrong(fmt::format("{}: {:.0f} readings a second, {:.0f} were asked for: set imu.rate_hz to what it gives",
                               name, rate, rate_hz));
   }
