@@ -58,6 +58,15 @@ std::vector<std::uint8_t> packed(const cv::Mat& bgr, PixelFormat format) {
         for (int x = 0; x < w; ++x) word(4 * bgr.at<cv::Vec3b>(y, x)[y % 2 != x % 2 ? 1 : y % 2 == 0 ? 2 : 0]);
       }
       return out;
+    case PixelFormat::kBgr3:
+    case PixelFormat::kRgb3:
+      for (int y = 0; y < h; ++y) {
+        for (int i = 0; i < 3 * w; ++i) {
+          const cv::Vec3b& p = bgr.at<cv::Vec3b>(y, i / 3);
+          out.push_back(p[format == PixelFormat::kBgr3 ? i % 3 : 2 - i % 3]);
+        }
+      }
+      return out;
     case PixelFormat::kY10:
     case PixelFormat::kY16:
       for (int y = 0; y < h; ++y) {

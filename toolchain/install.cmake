@@ -15,6 +15,8 @@ file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/share/godwit ${PROJECT_BINARY_DIR}/tes
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/detector/models ${PROJECT_BINARY_DIR}/share/godwit/models SYMBOLIC)
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/config/scenarios ${PROJECT_BINARY_DIR}/share/godwit/scenarios SYMBOLIC)
 file(CREATE_LINK ../share ${PROJECT_BINARY_DIR}/tests/share SYMBOLIC)
+file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/lib)
+file(CREATE_LINK ../lib ${PROJECT_BINARY_DIR}/tests/lib SYMBOLIC)
 
 # godwit_program(NAME): a program that is installed, with a man page and shell completion out of its own --help.
 function(godwit_program name)

@@ -254,8 +254,8 @@ rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& st
 }
 
 rt::Result<Pictures> live_pictures(const app::Config& config) {
-  if (config.camera.source != app::Config::Camera::Source::kV4l2) {
-    return rt::Error{"camera.source: \"v4l2\" is what --camera flies; for the others there is INPUT"};
+  if (!config.camera.live()) {
+    return rt::Error{"camera.source: \"v4l2\" or \"libcamera\" is what --camera flies; for the others there is INPUT"};
   }
   const auto opened = app::open_camera(config.camera, [](const std::string&) {});
   if (!opened) return opened.error();

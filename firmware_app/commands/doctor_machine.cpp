@@ -106,7 +106,7 @@ DoctorCamera examine_camera(const Config& config, const std::string& sequence, D
     report->wrong("camera: none is configured (camera.source is \"none\"): godwitd would not start");
     return out;
   }
-  if (config.camera.source == Source::kV4l2) {
+  if (config.camera.live()) {
     auto device = open_camera(config.camera, [](const std::string& words) { fmt::print("note   {}\n", words); });
     if (!device) {
       report->wrong(device.error().message);

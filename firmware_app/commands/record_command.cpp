@@ -39,14 +39,14 @@ int run_record(const RecordArguments& a, const std::atomic<bool>& stop) {
   const DeviceLog log = [](const std::string& text) { fmt::print(stderr, "\ngodwit: {}\n", text); };
   OpenedCamera camera;
   RecorderOptions options;
-  if (config.camera.source == Config::Camera::Source::kV4l2) {
+  if (config.camera.live()) {
     auto opened = open_camera(config.camera, log, config.threads.camera);
     if (!opened) return stopped(opened.error().message, kExitRefused);
     camera = std::move(opened).value();
     const auto text = hal::read_text_file(config.camera.calibration);
     if (text) options.calibration = text.value();
   } else if (config.camera.source == Config::Camera::Source::kSim) {
-    return stopped("camera.source: a simulated flight is written by godwit sim; \"v4l2\" is allowed", kExitRefused);
+    return stopped("camera.source: a simulated flight is written by godwit sim; \"v4l2\" or \"libcamera\" is allowed", kExitRefused);
   }
   auto imu = open_imu(config.imu, log);
   if (!imu) return stopped(imu.error().message, kExitRefused);

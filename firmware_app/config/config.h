@@ -33,12 +33,14 @@ struct Config {
 
   /// Where godwitd's pictures come from; the tool's commands bring their own.
   struct Camera {
-    enum class Source { kNone, kSim, kReplay, kV4l2 };
+    enum class Source { kNone, kSim, kReplay, kV4l2, kLibcamera };
+    /// A device, opened by open_camera.
+    bool live() const { return source == Source::kV4l2 || source == Source::kLibcamera; }
     enum class Stamp { kFlags, kStart, kEnd };
     enum class Exposure { kOff, kFixed, kAutomatic };
     Source source = Source::kNone;
     std::string calibration;                     ///< devices: camera.yaml, sensor.yaml, ..
-    std::string device = "/dev/video0";          ///< v4l2: path, by-id:NAME or serial:NUMBER
+    std::string device = "/dev/video0";          ///< v4l2: path, by-id:NAME or serial:NUMBER; libcamera: index:N or id
     std::string format;                          ///< v4l2: name of a pixel format; empty: the first that the device has
     double fps = 0;                              ///< devices: 0: the calibration's, or else as the device is set
     int shift = -1;                              ///< v4l2, 10 and 16 bits: bits to drop; -1: by the format

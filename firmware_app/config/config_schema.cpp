@@ -20,7 +20,8 @@ void add_thread(const std::string& section, rt::ThreadPlan* plan, std::vector<Ke
 void add_camera_device(Config* c, std::vector<Key>* to) {
   using Stamp = Config::Camera::Stamp;
   to->push_back(keys::text("camera.calibration", kLongestPath, "a file", &c->camera.calibration));
-  to->push_back(keys::text("camera.device", kLongestPath, "a path, by-id:NAME or serial:NUMBER", &c->camera.device));
+  to->push_back(keys::text("camera.device", kLongestPath,
+                           "a path, by-id:NAME or serial:NUMBER; with libcamera index:N or an id", &c->camera.device));
   to->push_back(keys::text("camera.format", 4, "a pixel format", &c->camera.format));
   to->push_back(keys::number("camera.fps", 0, 1000, "Hz", &c->camera.fps));
   to->push_back(keys::whole("camera.shift", -1, 12, &c->camera.shift));
@@ -139,10 +140,13 @@ std::vector<Key> config_keys(Config* c) {
            keys::number("scheduler.temperature_c", 30, 120, "degrees C", &c->scheduler.temperature_c),
            keys::number("scheduler.calm_s", 1, 600, "s", &c->scheduler.calm_s),
 
-           keys::choice<Source>(
-               "camera.source",
-               {{"none", Source::kNone}, {"sim", Source::kSim}, {"replay", Source::kReplay}, {"v4l2", Source::kV4l2}},
-               &c->camera.source),
+           keys::choice<Source>("camera.source",
+                                {{"none", Source::kNone},
+                                 {"sim", Source::kSim},
+                                 {"replay", Source::kReplay},
+                                 {"v4l2", Source::kV4l2},
+                                 {"libcamera", Source::kLibcamera}},
+                                &c->camera.source),
            keys::text("camera.sequence", kLongestPath, "a folder", &c->camera.sequence),
            keys::flag("camera.allow_simulated", &c->camera.allow_simulated),
            keys::text("camera.scenario", kLongestPath, "a scenario's name or file", &c->camera.scenario),

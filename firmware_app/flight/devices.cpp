@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <filesystem>
 
 #include "hal/camera/fed_camera.h"
+#include "hal/camera/libcamera/libcamera_camera.h"
 #include "hal/camera/v4l2/v4l2_camera.h"
 #include "hal/imu/iio/iio_imu.h"
 #include "hal/imu/mpu6000/mpu6000.h"
@@ -75,6 +77,33 @@ hal::ExposurePlan exposure_plan(const Config::Camera& c, const hal::CameraCalibr
   return out;
 }
 
+/// What V4L2 and libcamera have in common.
+rt::Result<hal::DeviceSettings> device_settings(const Config::Camera& config,
+                                                const hal::CameraCalibration& calibration) {
+  hal::DeviceSettings out;
+  out.device = config.device;
+  out.width = calibration.width;
+  out.height = calibration.height;
+  if (!config.format.empty()) {
+    out.format = hal::pixel_format_named(config.format);
+    if (!out.format) {
+      std::string all;
+      for (const hal::PixelFormat format : hal::kPixelFormats) all.append(hal::name(format)).append(", ");
+      return rt::Error{"camera.format: " + all + "or nothing is allowed"};
+    }
+  }
+  out.fps = config.fps > 0 ? config.fps : calibration.fps;
+  out.shift = config.shift;
+  out.stamp_at = config.stamp == Config::Camera::Stamp::kFlags   ? hal::StampAt::kAsFlagged
+                 : config.stamp == Config::Camera::Stamp::kStart ? hal::StampAt::kStartOfExposure
+                                                                 : hal::StampAt::kEndOfReadout;
+  out.exposure_ns = ns(config.exposure_ms * 1e-3);
+  out.readout_ns = ns(calibration.readout_s());
+  out.rolling = calibration.readout_frames > 0;
+  out.exposure = exposure_plan(config, calibration, out.fps);
+  return out;
+}
+
 rt::Result<hal::Mpu6000Settings> mpu6000_settings(const Config::Imu& config, const hal::AxisMap& axes) {
   const int g = config.accel_range_g;
   if (g != 2 && g != 4 && g != 8 && g != 16) return rt::Error{"imu.accel_range_g: 2, 4, 8 or 16 is allowed"};
@@ -95,29 +124,29 @@ rt::Result<hal::AxisMap> axis_map(const Config::Imu& config) {
 }  // namespace
 
 rt::Result<hal::V4l2Settings> v4l2_settings(const Config::Camera& config, const hal::CameraCalibration& calibration) {
+  auto any = device_settings(config, calibration);
+  if (!any) return any.error();
   hal::V4l2Settings out;
-  out.device = config.device;
-  out.width = calibration.width;
-  out.height = calibration.height;
-  if (!config.format.empty()) {
-    out.format = hal::pixel_format_named(config.format);
-    if (!out.format) {
-      return rt::Error{"camera.format: GREY, Y10, Y16, YUYV, NV12, RG10, BA10, MJPG or nothing is allowed"};
-    }
-  }
-  out.fps = config.fps > 0 ? config.fps : calibration.fps;
-  out.shift = config.shift;
+  static_cast<hal::DeviceSettings&>(out) = std::move(any).value();
   if (!read_controls(config.controls, &out.controls)) {
     return rt::Error{"camera.controls: \"NAME=NUMBER, ..\" is allowed, such as \"exposure_auto=1, gain=20\""};
   }
-  out.stamp_at = config.stamp == Config::Camera::Stamp::kFlags   ? hal::StampAt::kAsFlagged
-                 : config.stamp == Config::Camera::Stamp::kStart ? hal::StampAt::kStartOfExposure
-                                                                 : hal::StampAt::kEndOfReadout;
-  out.exposure_ns = ns(config.exposure_ms * 1e-3);
-  out.readout_ns = ns(calibration.readout_s());
-  out.rolling = calibration.readout_frames > 0;
-  out.exposure = exposure_plan(config, calibration, out.fps);
   return out;
+}
+
+rt::Result<hal::DeviceSettings> libcamera_settings(const Config::Camera& config,
+                                                   const hal::CameraCalibration& calibration) {
+  if (config.device.empty() || config.device.starts_with("/dev/")) {
+    return rt::Error{
+        "camera.device: with libcamera \"index:0\" and so on, or the camera's id or a part of it is allowed"};
+  }
+  if (!config.controls.empty()) {
+    return rt::Error{"camera.controls: V4L2's; with libcamera none is allowed, but camera.exposure, gain and fps"};
+  }
+  if (config.exposure == Config::Camera::Exposure::kAutomatic) {
+    return rt::Error{"camera.exposure: with libcamera \"off\" (it exposes by itself) or \"fixed\" is allowed"};
+  }
+  return device_settings(config, calibration);
 }
 
 namespace {
@@ -125,13 +154,26 @@ namespace {
 rt::Result<std::unique_ptr<hal::Camera>> open_device(const Config::Camera& config,
                                                      const hal::CameraCalibration& calibration,
                                                      const rt::ThreadPlan& feeder, const DeviceLog& log) {
-  const auto settings = v4l2_settings(config, calibration);
-  if (!settings) return settings.error();
-  auto opened = hal::V4l2Camera::open(hal::linux_video_system(), settings.value(), [log](const std::string& text) {
+  const auto tell = [log](const std::string& text) {
     log(text.empty() ? "camera: the device is well again" : "warning: camera: " + text);
-  });
-  if (!opened) return opened.error();
-  std::unique_ptr<hal::Camera> camera = std::move(opened).value();
+  };
+  std::unique_ptr<hal::Camera> camera;
+  if (config.source == Config::Camera::Source::kLibcamera) {
+    const auto settings = libcamera_settings(config, calibration);
+    if (!settings) return settings.error();
+    auto library = hal::load_libcamera();
+    if (!library) return rt::Error{"camera.source: " + library.error().message};
+    auto opened =
+        hal::LibcameraCamera::open(std::move(library).value(), hal::linux_video_system(), settings.value(), tell);
+    if (!opened) return opened.error();
+    camera = std::move(opened).value();
+  } else {
+    const auto settings = v4l2_settings(config, calibration);
+    if (!settings) return settings.error();
+    auto opened = hal::V4l2Camera::open(hal::linux_video_system(), settings.value(), tell);
+    if (!opened) return opened.error();
+    camera = std::move(opened).value();
+  }
   if (camera->real_time()) return camera;
   // MJPEG, or a device of which nobody knows yet.
   auto fed = hal::FedCamera::start(std::move(camera), feeder);
@@ -198,11 +240,22 @@ void check_devices(ConfigReport* report) {
     const std::size_t colon = message.find(": ");
     report->mistake(message.substr(0, colon), message.substr(colon + 2));
   };
-  if (c.camera.source == Config::Camera::Source::kV4l2) {
+  if (c.camera.live()) {
     const auto calibration = read_calibration(c.camera);
     if (!calibration) mistake(calibration.error().message);
-    const auto settings = v4l2_settings(c.camera, calibration ? calibration.value() : hal::CameraCalibration());
-    if (!settings) mistake(settings.error().message);
+    const hal::CameraCalibration known = calibration ? calibration.value() : hal::CameraCalibration();
+    if (c.camera.source == Config::Camera::Source::kLibcamera) {
+      std::error_code unreadable;
+      if (!std::filesystem::exists(hal::libcamera_library(), unreadable)) {
+        report->mistake("camera.source",
+                        "\"libcamera\": this godwit was built without it (libcamera-dev was not there; " +
+                            hal::libcamera_library() + " is missing); \"v4l2\" is allowed");
+      }
+      const auto settings = libcamera_settings(c.camera, known);
+      if (!settings) mistake(settings.error().message);
+    } else if (const auto settings = v4l2_settings(c.camera, known); !settings) {
+      mistake(settings.error().message);
+    }
     if (calibration && c.imu.flown_by() && !calibration.value().T_body_cam && c.link.T_body_cam.empty()) {
       report->mistake("imu.enabled",
                       "neither camera.calibration nor link.T_body_cam says where the camera sits on the sensor; "

@@ -8,6 +8,7 @@
 #include "firmware_app/config/config.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
+#include "hal/camera/libcamera/libcamera_system.h"
 #include "hal/camera/v4l2/v4l2_stream.h"
 #include "hal/imu/imu.h"
 #include "hal/rt/result.h"
@@ -25,6 +26,10 @@ struct OpenedCamera {
 /// camera.source "v4l2" as settings of the driver; readout and picture size come from the calibration. Error: names the
 /// key and the reason.
 rt::Result<hal::V4l2Settings> v4l2_settings(const Config::Camera& config, const hal::CameraCalibration& calibration);
+
+/// camera.source "libcamera" as settings of the device; as above.
+rt::Result<hal::DeviceSettings> libcamera_settings(const Config::Camera& config,
+                                                   const hal::CameraCalibration& calibration);
 
 /// The device of a camera.source that is one. A device that is not there is no error: it is told and looked for. Error:
 /// what is wrong with the calibration or a key. Blocks. feeder: how the thread runs that decodes where that is needed

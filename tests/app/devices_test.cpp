@@ -1,5 +1,6 @@
 #include "firmware_app/flight/devices.h"
 
+#include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -87,7 +88,7 @@ TEST(Devices, MistakesNameTheirKeyAndLine) {
   EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\n"), HasSubstr("camera.calibration: a camera without one"));
   EXPECT_THAT(mistakes("[camera]\nsource = \"v4l2\"\ncalibration = \"/none\"\n"),
               HasSubstr("c.toml:3: camera.calibration: /none"));
-  EXPECT_THAT(mistakes(good + "format = \"H264\"\n"), HasSubstr("c.toml:4: camera.format: GREY, Y10"));
+  EXPECT_THAT(mistakes(good + "format = \"H264\"\n"), HasSubstr("c.toml:4: camera.format: GREY, NV12"));
   for (const char* wrong : {"gain", "gain=", "=3", "gain=x", "gain=3 4", "gain=3,,"}) {
     EXPECT_THAT(mistakes(good + "controls = \"" + wrong + "\"\n"), HasSubstr("c.toml:4: camera.controls: ")) << wrong;
   }
@@ -96,6 +97,27 @@ TEST(Devices, MistakesNameTheirKeyAndLine) {
   EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\nrate_hz = 300\n"), HasSubstr("c.toml:3: imu.rate_hz: "));
   EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\naccel_range_g = 3\n"), HasSubstr("imu.accel_range_g: 2, 4, 8"));
   EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\ngyro_range_deg_s = 300\n"), HasSubstr("imu.gyro_range_deg_s: "));
+}
+
+TEST(Devices, LibcameraIsAskedForByNumberOrIdAndExposesByItself) {
+  const test::TempFolder folder;
+  test::write_file(folder / "camera.yaml", kCalibration);
+  const std::string good =
+      "[camera]\nsource = \"libcamera\"\ndevice = \"index:0\"\ncalibration = \"" + (folder / "camera.yaml") + "\"\n";
+  const std::string built =
+      std::filesystem::exists(hal::libcamera_library())
+          ? ""
+          : "c.toml:2: camera.source: \"libcamera\": this godwit was built without it (libcamera-dev "
+            "was not there; " +
+                hal::libcamera_library() + " is missing); \"v4l2\" is allowed\n";
+  EXPECT_EQ(mistakes(good), built);
+  EXPECT_EQ(mistakes(good + "exposure = \"fixed\"\nexposure_ms = 4\n"), built);
+  EXPECT_THAT(mistakes(good + "exposure = \"automatic\"\n"), HasSubstr("c.toml:5: camera.exposure: with libcamera"));
+  EXPECT_THAT(mistakes(good + "controls = \"gain=3\"\n"), HasSubstr("c.toml:5: camera.controls: V4L2's"));
+  EXPECT_THAT(mistakes(good + "format = \"H264\"\n"), HasSubstr("c.toml:5: camera.format: GREY, NV12"));
+  EXPECT_THAT(mistakes("[camera]\nsource = \"libcamera\"\ncalibration = \"" + (folder / "camera.yaml") + "\"\n"),
+              HasSubstr("camera.device: with libcamera \"index:0\""));
+  EXPECT_THAT(mistakes("[camera]\nsource = \"libcamera\"\n"), HasSubstr("camera.calibration: a camera without one"));
 }
 
 TEST(Devices, WhatIsNotThereIsToldAndNoReasonNotToStart) {

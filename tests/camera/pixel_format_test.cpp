@@ -102,6 +102,21 @@ TEST(YuvRows, AreTheSameAsPixelByPixel) {
   }
 }
 
+TEST(PixelFormat, RgbAsOpenCvConvertsIt) {
+  for (const bool red_first : {false, true}) {
+    Padded raw(red_first ? PixelFormat::kRgb3 : PixelFormat::kBgr3, 256);
+    const Converted c(raw);
+    cv::Mat grey, bgr = raw.mat(CV_8UC3).clone();
+    if (red_first) cv::cvtColor(raw.mat(CV_8UC3), bgr, cv::COLOR_RGB2BGR);
+    cv::cvtColor(bgr, grey, cv::COLOR_BGR2GRAY);
+    EXPECT_EQ(worst(c.bgr, bgr), 0);
+    EXPECT_LE(worst(c.grey, grey), 1);
+    cv::Mat alone(kHeight, kWidth, CV_8U);
+    convert({raw.bytes.data(), raw.stride, raw.format, 0}, {alone.data, kWidth, kHeight, kWidth}, nullptr);
+    EXPECT_EQ(worst(c.grey, alone), 0);
+  }
+}
+
 TEST(PixelFormat, BayerGivesTheBlocksColoursAndTheirMean) {
   for (const PixelFormat format : {PixelFormat::kRg10, PixelFormat::kBa10}) {
     Padded raw(format, 1024);

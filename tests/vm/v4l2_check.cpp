@@ -117,7 +117,7 @@ class Watch {
   std::vector<std::uint8_t> grey_, bgr_;
 };
 
-std::string text(const Seen& s, const V4l2Counters& c) {
+std::string text(const Seen& s, const DeviceCounters& c) {
   char out[240];
   std::snprintf(out, sizeof out, "%d frames every %.1f ms, %d bad%s%s, %llu lost, oldest %.0f ms, %d grey values",
                 s.frames, s.mean_interval_ms, s.bad, s.why.empty() ? "" : ": ", s.why.c_str(),

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "hal/camera/v4l2/video_system.h"
+#include "hal/camera/machine_clocks.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {

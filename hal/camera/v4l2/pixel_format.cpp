@@ -6,6 +6,7 @@
 #include <cstring>
 #include <linux/videodev2.h>
 
+#include "hal/camera/v4l2/rgb_rows.h"
 #include "hal/camera/v4l2/yuv_rows.h"
 
 namespace godwit::hal {
@@ -20,7 +21,7 @@ struct Description {
   int bits;
 };
 
-constexpr std::array<Description, 8> kDescriptions{{
+constexpr std::array<Description, 10> kDescriptions{{
     {PixelFormat::kGrey, "GREY", V4L2_PIX_FMT_GREY, 1, 1, 8},
     {PixelFormat::kY10, "Y10", V4L2_PIX_FMT_Y10, 1, 2, 10},
     {PixelFormat::kY16, "Y16", V4L2_PIX_FMT_Y16, 1, 2, 16},
@@ -28,6 +29,8 @@ constexpr std::array<Description, 8> kDescriptions{{
     {PixelFormat::kNv12, "NV12", V4L2_PIX_FMT_NV12, 3, 1, 8},
     {PixelFormat::kRg10, "RG10", V4L2_PIX_FMT_SRGGB10, 3, 2, 10},
     {PixelFormat::kBa10, "BA10", V4L2_PIX_FMT_SGRBG10, 3, 2, 10},
+    {PixelFormat::kBgr3, "BGR3", V4L2_PIX_FMT_BGR24, 3, 3, 8},
+    {PixelFormat::kRgb3, "RGB3", V4L2_PIX_FMT_RGB24, 3, 3, 8},
     {PixelFormat::kMjpeg, "MJPG", V4L2_PIX_FMT_MJPEG, 3, 0, 8},
 }};
 
@@ -69,6 +72,13 @@ void convert_nv12(const RawPicture& raw, const rt::MutableImageView& grey, std::
     if (bgr == nullptr) continue;
     nv12_row(from, chroma + static_cast<std::ptrdiff_t>(y / 2) * raw.stride, grey.width,
              bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3);
+  }
+}
+
+void convert_rgb(const RawPicture& raw, const rt::MutableImageView& grey, std::uint8_t* bgr) {
+  for (int y = 0; y < grey.height; ++y) {
+    rgb_row(raw.data + static_cast<std::ptrdiff_t>(y) * raw.stride, grey.width, raw.format == PixelFormat::kRgb3,
+            grey.row(y), bgr == nullptr ? nullptr : bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3);
   }
 }
 
@@ -169,6 +179,9 @@ void convert(const RawPicture& raw, const rt::MutableImageView& grey, std::uint8
     case PixelFormat::kRg10:
     case PixelFormat::kBa10:
       return convert_bayer(raw, grey, bgr);
+    case PixelFormat::kBgr3:
+    case PixelFormat::kRgb3:
+      return convert_rgb(raw, grey, bgr);
     case PixelFormat::kMjpeg:
       assert(false);  // JpegDecoder's
   }

@@ -11,17 +11,18 @@
 
 namespace godwit::hal {
 
-/// V4L2's names: 16-bit ones are little-endian, Bayer ones hold 10 bits in 16.
-enum class PixelFormat : std::uint8_t { kGrey, kY10, kY16, kYuyv, kNv12, kRg10, kBa10, kMjpeg };
+/// V4L2's names: 16-bit ones are little-endian, Bayer ones hold 10 bits in 16, BGR3 and RGB3 are bytes in that order.
+enum class PixelFormat : std::uint8_t { kGrey, kY10, kY16, kYuyv, kNv12, kRg10, kBa10, kBgr3, kRgb3, kMjpeg };
 
 /// All of them, the cheapest to turn into grey first: the order in which a device's own are tried.
-constexpr PixelFormat kPixelFormats[] = {PixelFormat::kGrey, PixelFormat::kNv12, PixelFormat::kYuyv,
-                                         PixelFormat::kY10,  PixelFormat::kY16,  PixelFormat::kRg10,
+constexpr PixelFormat kPixelFormats[] = {PixelFormat::kGrey, PixelFormat::kNv12, PixelFormat::kYuyv, PixelFormat::kY10,
+                                         PixelFormat::kY16,  PixelFormat::kBgr3, PixelFormat::kRgb3, PixelFormat::kRg10,
                                          PixelFormat::kBa10, PixelFormat::kMjpeg};
 
 /// V4L2's code of four characters (videodev2.h).
 std::uint32_t fourcc(PixelFormat format);
-/// Static text, V4L2's: "GREY", "Y10", "Y16", "YUYV", "NV12", "RG10", "BA10", "MJPG".
+/// Static text, V4L2's: "GREY", "Y10", "Y16", "YUYV", "NV12", "RG10", "BA10", "BGR3",
+/// "RGB3", "MJPG".
 const char* name(PixelFormat format);
 std::optional<PixelFormat> pixel_format_named(std::string_view text);
 /// 1 grey, 3 colour.
@@ -44,7 +45,7 @@ struct RawPicture {
 /// Writes the picture as grey and, where bgr is not null, as BGR (width * 3 bytes a row; three times the grey where the
 /// format has no colour). Not MJPEG. grey's size is the picture's; even for colour. Bayer: grey is the binomial 3 x 3
 /// mean, which weighs red, green and blue 1 : 2 : 1 at every pixel; BGR has the colour of each 2 x 2 block. YUV:
-/// BT.601, limited range; grey is the luma as it stands. No allocation.
+/// BT.601, limited range; grey is the luma as it stands. RGB: see rgb_row. No allocation.
 void convert(const RawPicture& raw, const rt::MutableImageView& grey, std::uint8_t* bgr);
 
 }  // namespace godwit::hal

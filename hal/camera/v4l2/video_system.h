@@ -5,10 +5,10 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
+#include "hal/camera/machine_clocks.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {
@@ -20,18 +20,10 @@ struct VideoNode {
   std::string serial;              ///< USB serial number; empty: it has none
 };
 
-/// How other clocks stand to CLOCK_MONOTONIC: what to add to their times. 0: the same, or unknown.
-struct ClockOffsets {
-  rt::TimeNs boottime_ns = 0;
-  rt::TimeNs realtime_ns = 0;
-  std::optional<rt::TimeNs> counter_ns;  ///< between it and Tegra's TSC, as L4T's clocksource0/offset_ns has it
-};
-
-class VideoSystem {
+class VideoSystem : public MachineClocks {
  public:
   enum class Wait : std::uint8_t { kReady, kTimeout, kGone };
 
-  virtual ~VideoSystem() = default;
   /// As open(2), for reading and writing, non-blocking.
   virtual int open(const char* path) = 0;
   virtual void close(int descriptor) = 0;
@@ -42,12 +34,6 @@ class VideoSystem {
   virtual void unmap(void* memory, std::size_t bytes) = 0;
   /// Waits for a buffer. kGone: the device has hung up or is in error. No allocation.
   virtual Wait wait_readable(int descriptor, rt::TimeNs timeout_ns) = 0;
-  /// CLOCK_MONOTONIC. No allocation.
-  virtual rt::TimeNs now_ns() = 0;
-  /// All of them. Reads a file: blocks.
-  virtual ClockOffsets clock_offsets() = 0;
-  /// BOOTTIME and REALTIME alone. No allocation, no file; does not block.
-  virtual void read_clocks(ClockOffsets* offsets) = 0;
   /// Every video device there is now. Blocks.
   virtual std::vector<VideoNode> nodes() = 0;
 };

@@ -1,0 +1,51 @@
+// The part that is linked with libcamera: a camera of its, acquired.
+#pragma once
+
+#include <libcamera/camera.h>
+#include <libcamera/framebuffer_allocator.h>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "hal/camera/libcamera/libcamera_system.h"
+
+namespace godwit::hal {
+
+class LinkedSession final : public LibcameraSession {
+ public:
+  /// camera is acquired; the destructor releases it.
+  explicit LinkedSession(std::shared_ptr<libcamera::Camera> camera) : camera_(std::move(camera)) {}
+  ~LinkedSession() override;
+  std::vector<PixelFormat> formats(std::string* others) override;
+  rt::Result<LibcameraGiven> configure(const LibcameraPlan& plan) override;
+  rt::Result<void> start(RequestListener* listener) override;
+  bool queue(std::uint32_t index) override;
+
+ private:
+  struct Mapping {
+    void* memory = nullptr;
+    std::size_t bytes = 0;
+    int descriptor = -1;
+  };
+
+  rt::Result<void> map_buffers(int height, LibcameraGiven* given);
+  void plan_controls(const LibcameraPlan& plan, LibcameraGiven* given);
+  void sync(std::size_t index, bool begin);
+  // libcamera's thread.
+  void completed(libcamera::Request* request);
+  void disconnected();
+
+  std::shared_ptr<libcamera::Camera> camera_;
+  std::unique_ptr<libcamera::CameraConfiguration> configuration_;
+  std::unique_ptr<libcamera::FrameBufferAllocator> allocator_;
+  std::vector<std::unique_ptr<libcamera::Request>> requests_;
+  std::vector<Mapping> mappings_;  ///< of the buffers, one each
+  libcamera::ControlList controls_;
+  std::map<PixelFormat, libcamera::StreamRole> roles_;  ///< by which each format is had
+  RequestListener* listener_ = nullptr;
+  bool started_ = false;
+};
+
+}  // namespace godwit::hal

@@ -1,0 +1,190 @@
+// Mpu6000 over spidev and IioImu over the kernel's inv-mpu6000-spi on an emulated chip (tests/vm/modules), which lies
+// when told to. Runs as root in a machine of its own.
+//   godwit_imu_check spidev|iio
+// Prints what it checked; ends with 1 if something failed.
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "hal/imu/iio/iio_imu.h"
+#include "hal/imu/mpu6000/mpu6000.h"
+#include "tests/vm/check.h"
+
+namespace {
+using namespace godwit;
+using namespace godwit::hal;
+using godwit::vm::check;
+using godwit::vm::failures;
+using godwit::vm::run;
+
+constexpr double kGravity = 9.80665;
+constexpr double kDegree = M_PI / 180;
+
+void set(const std::string& what, const std::string& to) {
+  run("echo " + to + " > /sys/module/emulated_mpu6000/parameters/" + what);
+}
+
+struct Seen {
+  int samples = 0, faults = 0, not_later = 0;
+  double mean_step_ms = 0, longest_step_ms = 0;
+  std::uint8_t flags = 0;  ///< of all
+  ImuSample last;
+};
+
+/// So many samples, or as many as come in the time; and until is true, where it is given.
+Seen take(Imu* imu, int samples, double most_s, const std::function<bool()>& until = {}) {
+  Seen out;
+  rt::TimeNs first_ns = 0, last_ns = 0;
+  const rt::TimeNs end = rt::monotonic_now_ns() + static_cast<rt::TimeNs>(most_s * 1e9);
+  while (out.samples < samples && rt::monotonic_now_ns() < end && !(until && until())) {
+    ImuSample s;
+    const ImuStatus status = imu->next(&s, 20 * rt::kNsPerMs);
+    if (status == ImuStatus::kFault) ++out.faults;
+    if (status != ImuStatus::kSample) continue;
+    if (last_ns != 0) {
+      if (s.t_ns <= last_ns) ++out.not_later;
+      out.longest_step_ms = std::max(out.longest_step_ms, rt::to_ms(s.t_ns - last_ns));
+    }
+    if (first_ns == 0) first_ns = s.t_ns;
+    last_ns = s.t_ns;
+    out.flags |= s.flags;
+    out.last = s;
+    ++out.samples;
+  }
+  if (out.samples > 1) out.mean_step_ms = rt::to_ms(last_ns - first_ns) / (out.samples - 1);
+  return out;
+}
+
+std::string text(const Seen& s) {
+  char out[256];
+  std::snprintf(out, sizeof out,
+                "%d samples, %.3f ms a step (longest %.1f), %d faults, accel %.2f %.2f %.2f, gyro %.3f %.3f %.3f",
+                s.samples, s.mean_step_ms, s.longest_step_ms, s.faults, s.last.accel_m_s2[0], s.last.accel_m_s2[1],
+                s.last.accel_m_s2[2], s.last.gyro_rad_s[0], s.last.gyro_rad_s[1], s.last.gyro_rad_s[2]);
+  return out;
+}
+
+/// All that the sensor said since the last look.
+std::string events(Imu* imu) {
+  std::string out;
+  rt::LogEntry e;
+  while (imu->events()->take(&e)) out.append(e.what).append(" ").append(e.which).append(" ").append(e.why).append("; ");
+  return out;
+}
+
+/// Something is broken and mended: it is told in words, and samples come again.
+void broken(Imu* imu, const std::string& what, const std::string& words, const std::function<void()>& begin,
+            const std::function<void()>& mend) {
+  events(imu);
+  begin();
+  std::string told;
+  take(imu, 1'000'000, 10, [&] { return (told += events(imu)).find(words) != std::string::npos; });
+  check(told.find(words) != std::string::npos, what + " is told: " + told);
+  mend();
+  const rt::TimeNs began = rt::monotonic_now_ns();
+  // What was in the buffers from before is not what is meant: a few of them.
+  const Seen s = take(imu, 50, 20);
+  std::printf("      50 samples %.2f s after it was mended\n", rt::to_seconds(rt::monotonic_now_ns() - began));
+  check(s.samples == 50 && s.not_later == 0, what + ": mended, it measures again: " + text(s));
+}
+
+/// The same reading in SI units: 1 g at 8 g, 2 g at the range of the kernel's driver.
+void measures(Imu* imu, const char* name, double accel_unit, double gyro_unit) {
+  set("value", "100,-200,4096,0,1000,-2000,3000");
+  take(imu, 20, 10);
+  const Seen s = take(imu, 400, 60);
+  const auto near = [](double a, double b, double unit) { return std::abs(a - b) <= 6 * unit; };
+  check(s.samples == 400 && s.faults == 0 && s.not_later == 0 && std::abs(s.mean_step_ms - 5) < 0.25,
+        std::string(name) + ", 200 Hz: " + text(s));
+  check(near(s.last.accel_m_s2[0], 100 * accel_unit, accel_unit) &&
+            near(s.last.accel_m_s2[1], -200 * accel_unit, accel_unit) &&
+            near(s.last.accel_m_s2[2], 4096 * accel_unit, accel_unit) &&
+            near(s.last.gyro_rad_s[0], 1000 * gyro_unit, gyro_unit) &&
+            near(s.last.gyro_rad_s[1], -2000 * gyro_unit, gyro_unit) &&
+            near(s.last.gyro_rad_s[2], 3000 * gyro_unit, gyro_unit),
+        "its readings in SI units");
+  const double age_ms = rt::to_ms(rt::monotonic_now_ns() - s.last.t_ns);
+  check(age_ms > -1 && age_ms < 500,
+        "its times are CLOCK_MONOTONIC's: the last is " + std::to_string(age_ms) + " ms old");
+  set("value", "100,-200,32767,0,1000,-32768,3000");
+  const Seen full = take(imu, 100, 20);
+  check((full.flags & kImuGyroSaturated) != 0 && (full.flags & kImuAccelSaturated) != 0, "a full range is flagged");
+  set("value", "100,-200,4096,0,1000,-2000,3000");
+}
+
+void lies(Imu* imu) {
+  broken(
+      imu, "a reading that is stuck", "stuck", [] { set("noise", "N"); }, [] { set("noise", "Y"); });
+  broken(
+      imu, "a sensor that sleeps", "all readings are zero",
+      [] {
+        set("value", "0,0,0,0,0,0,0");
+        set("noise", "N");
+      },
+      [] {
+        set("noise", "Y");
+        set("value", "100,-200,4096,0,1000,-2000,3000");
+      });
+}
+
+void spidev() {
+  Mpu6000Settings settings;
+  settings.self_test = true;
+  auto opened = Mpu6000::open(spidev_port(), settings);
+  if (!check(opened.ok(), "an MPU-6000 over spidev")) return;
+  Mpu6000& imu = *opened.value();
+  check(imu.trouble() == nullptr, std::string("runs: ") + (imu.trouble() == nullptr ? "yes" : imu.trouble()));
+  check(imu.self_test_percent() >= 0 && imu.self_test_percent() < 2,
+        "self-test: off the factory's by " + std::to_string(imu.self_test_percent()) + " %");
+  measures(&imu, "spidev", 8 * kGravity / 32768, 500 * kDegree / 32768);
+  lies(&imu);
+  broken(
+      &imu, "a bus with errors", "the bus fails", [] { set("error", "5"); }, [] { set("error", "0"); });
+  broken(
+      &imu, "a chip that takes no samples", "takes no samples", [] { set("stopped", "Y"); },
+      [] { set("stopped", "N"); });
+  broken(
+      &imu, "another chip in its place", "an MPU-9250 (WHO_AM_I 0x71)",
+      [] {
+        set("who", "113");
+        set("stopped", "Y");
+      },
+      [] {
+        set("who", "104");
+        set("stopped", "N");
+      });
+  broken(
+      &imu, "a device that is unplugged", "the SPI device cannot be opened",
+      [] { run("echo spi0.0 > /sys/bus/spi/drivers/spidev/unbind"); },
+      [] { run("echo spi0.0 > /sys/bus/spi/drivers/spidev/bind"); });
+}
+
+void iio() {
+  const auto imu = IioImu::open(libiio_port("mpu6000", 200, [](const std::string&) {}), nullptr, {});
+  check(imu->trouble().empty(), "an MPU-6000 over IIO runs: " + imu->trouble());
+  check(std::abs(imu->rate_hz() - 200) < 1, "its rate is set: " + std::to_string(imu->rate_hz()) + " Hz");
+  measures(imu.get(), "IIO", 2 * kGravity / 32768, 2000 * kDegree / 32768);
+  lies(imu.get());
+  broken(
+      imu.get(), "a driver without samples", "IMU", [] { set("mute", "Y"); }, [] { set("mute", "N"); });
+  broken(
+      imu.get(), "a device that is unplugged", "IMU",
+      [] { run("echo spi0.0 > /sys/bus/spi/drivers/inv-mpu6000-spi/unbind"); },
+      [] { run("echo spi0.0 > /sys/bus/spi/drivers/inv-mpu6000-spi/bind"); });
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const std::string mode = argc == 2 ? argv[1] : "";
+  if (mode == "spidev") {
+    spidev();
+  } else if (mode == "iio") {
+    iio();
+  } else {
+    return std::puts("godwit_imu_check spidev|iio"), 2;
+  }
+  return failures == 0 ? 0 : 1;
+}
