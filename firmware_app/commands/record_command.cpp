@@ -46,7 +46,8 @@ int run_record(const RecordArguments& a, const std::atomic<bool>& stop) {
     const auto text = hal::read_text_file(config.camera.calibration);
     if (text) options.calibration = text.value();
   } else if (config.camera.source == Config::Camera::Source::kSim) {
-    return stopped("camera.source: a simulated flight is written by godwit sim; \"v4l2\" or \"libcamera\" is allowed", kExitRefused);
+    return stopped("camera.source: a simulated flight is written by godwit sim; \"v4l2\" or \"libcamera\" is allowed",
+                   kExitRefused);
   }
   auto imu = open_imu(config.imu, log);
   if (!imu) return stopped(imu.error().message, kExitRefused);

@@ -89,7 +89,8 @@ void check_simulated(ConfigReport* report) {
 void check_for_daemon(ConfigReport* report) {
   check_on_this_machine(report);
   if (report->config.camera.source == Config::Camera::Source::kNone)
-    report->mistake("camera.source", "a daemon needs a camera; \"v4l2\", \"libcamera\", \"replay\" or \"sim\" is allowed");
+    report->mistake("camera.source",
+                    "a daemon needs a camera; \"v4l2\", \"libcamera\", \"replay\" or \"sim\" is allowed");
   check_simulated(report);
   if (report->config.link.bench_metric) {
     report->mistake("link.bench_metric",

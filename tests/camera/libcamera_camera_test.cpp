@@ -313,12 +313,12 @@ TEST_F(LibcameraCameraTest, OneThatTakesNoRequestBackOrFallsSilentIsOpenedAnew) 
   until([&] { return camera_->counters().gone == 1; });
   device_.takes_requests = true;
   until([&] { return camera_->streaming(); });
-  ASSERT_EQ(device_.opened, 2);
+  ASSERT_EQ(camera_->counters().back, 1u);
   device_.now_ns += rt::kNsPerSecond;
   EXPECT_EQ(next(), CameraStatus::kTimeout);
   EXPECT_EQ(camera_->counters().stalls, 1u);
   until([&] { return camera_->streaming(); });
-  EXPECT_EQ(device_.opened, 3);
+  EXPECT_EQ(camera_->counters().back, 2u);
 }
 
 TEST(LibcameraChoice, ByNumberIdOrAPartOfIt) {

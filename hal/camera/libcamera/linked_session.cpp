@@ -2,11 +2,14 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
+#include <filesystem>
 #include <libcamera/control_ids.h>
 #include <linux/dma-buf.h>
 #include <sys/ioctl.h>
 #include <sys/mman.h>
+#include <thread>
 
 namespace godwit::hal {
 namespace {
@@ -44,6 +47,15 @@ T value_or(const std::optional<T>& value, T other) {
 }  // namespace
 
 LinkedSession::~LinkedSession() {
+  if (started_ && device_left() && !told_so()) {
+    // It would not come back from stop(). What it may still use stays; the camera is taken until libcamera notices.
+    camera_->requestCompleted.disconnect(this);
+    camera_->disconnected.disconnect(this);
+    for (auto& request : requests_) static_cast<void>(request.release());
+    static_cast<void>(allocator_.release());
+    static_cast<void>(configuration_.release());
+    return;
+  }
   if (started_) camera_->stop();  // all requests have come back when it returns
   if (listener_ != nullptr) {
     camera_->requestCompleted.disconnect(this);
@@ -54,6 +66,30 @@ LinkedSession::~LinkedSession() {
   allocator_.reset();
   configuration_.reset();
   camera_->release();
+}
+
+bool LinkedSession::device_left() const {
+  if (cancelled_.load(std::memory_order_relaxed)) return true;
+  // A node that the kernel has taken away while it is open.
+  std::error_code failed;
+  for (std::filesystem::directory_iterator file("/proc/self/fd", failed), end; !failed && file != end;
+       file.increment(failed)) {
+    std::error_code gone;
+    const std::string path = std::filesystem::read_symlink(file->path(), gone);
+    const bool device =
+        path.starts_with("/dev/video") || path.starts_with("/dev/media") || path.starts_with("/dev/v4l");
+    if (device && path.ends_with(" (deleted)")) return true;
+  }
+  return false;
+}
+
+bool LinkedSession::told_so() const {
+  // udev's word comes in milliseconds, and on a machine that is busy later.
+  constexpr int kLooks = 500;
+  for (int i = 0; i < kLooks && !disconnected_.load(std::memory_order_relaxed); ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  return disconnected_.load(std::memory_order_relaxed);
 }
 
 std::vector<PixelFormat> LinkedSession::formats(std::string* others) {
@@ -202,10 +238,12 @@ void LinkedSession::completed(libcamera::Request* request) {
   for (const auto& plane : picture.planes()) out.bytes += plane.bytesused;
   out.exposure_ns = rt::TimeNs{value_or<std::int32_t>(request->metadata().get(controls::ExposureTime), 0)} * 1000;
   sync(out.index, true);
+  if (cancelled) cancelled_.store(true, std::memory_order_relaxed);
   listener_->completed(out);
 }
 
 void LinkedSession::disconnected() {
+  disconnected_.store(true, std::memory_order_relaxed);
   listener_->disconnected();
 }
 

@@ -1,6 +1,7 @@
 // The part that is linked with libcamera: a camera of its, acquired.
 #pragma once
 
+#include <atomic>
 #include <libcamera/camera.h>
 #include <libcamera/framebuffer_allocator.h>
 #include <map>
@@ -33,6 +34,10 @@ class LinkedSession final : public LibcameraSession {
   rt::Result<void> map_buffers(int height, LibcameraGiven* given);
   void plan_controls(const LibcameraPlan& plan, LibcameraGiven* given);
   void sync(std::size_t index, bool begin);
+  /// libcamera 0.0.3 ends the process (an assertion in PipelineHandler::stop) when a camera is stopped whose device has
+  /// gone and which it still takes to be there; after its own word that it is gone, stopping is safe.
+  bool device_left() const;
+  bool told_so() const;  ///< waits for that word
   // libcamera's thread.
   void completed(libcamera::Request* request);
   void disconnected();
@@ -46,6 +51,8 @@ class LinkedSession final : public LibcameraSession {
   std::map<PixelFormat, libcamera::StreamRole> roles_;  ///< by which each format is had
   RequestListener* listener_ = nullptr;
   bool started_ = false;
+  std::atomic<bool> cancelled_{false};     ///< a request came back so, unasked; alone
+  std::atomic<bool> disconnected_{false};  ///< libcamera's word; alone
 };
 
 }  // namespace godwit::hal
