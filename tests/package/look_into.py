@@ -17,8 +17,9 @@ import subprocess
 import sys
 import tempfile
 
-# Highest symbol versions: glibc 2.31 is that of Ubuntu 20.04; amd64 is for Debian 12.
-LIMITS = {'arm64': {'GLIBC': (2, 31), 'GCC': (10,)}, 'amd64': {'GLIBC': (2, 36), 'GLIBCXX': (3, 4, 30), 'CXXABI': (1, 3, 13), 'GCC': (12,)}}
+# Highest symbol versions: glibc 2.31 and systemd 245 are those of Ubuntu 20.04; amd64 is for Debian 12.
+LIMITS = {'arm64': {'GLIBC': (2, 31), 'GCC': (10,), 'LIBSYSTEMD': (245,)},
+          'amd64': {'GLIBC': (2, 36), 'GLIBCXX': (3, 4, 30), 'CXXABI': (1, 3, 13), 'GCC': (12,), 'LIBSYSTEMD': (252,)}}
 # What each of the two packages must hold.
 CONTENT = {
     'godwit': [

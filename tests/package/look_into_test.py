@@ -52,6 +52,13 @@ expect(code == 0, told)
 # Debian 12's own programs ask for its own glibc 2.34: too new for JetPack 5.
 code, told = look('arm64', 'libc6', [CONFFILE])
 expect(code == 1 and 'asks for GLIBC_2.34, allowed: (2, 31)' in told, told)
+# godwitd asks systemd's library for the machine's number.
+with tempfile.TemporaryDirectory(prefix='godwit_look.') as made:
+    asks = pathlib.Path(made) / 'asks'
+    subprocess.run(['gcc', '-x', 'c', '-', '-o', asks, '-lsystemd'], check=True, text=True,
+                   input='int sd_id128_get_machine_app_specific(); int main() { return sd_id128_get_machine_app_specific(); }')
+    code, told = look('amd64', 'libc6, libsystemd0', [CONFFILE], program=asks)
+    expect(code == 0 and ' LIBSYSTEMD_233;' in told, told)
 code, told = look('arm64', 'libgcc-s1', [CONFFILE])
 expect(code == 1 and 'wants libc.so.6, which no package of Depends brings' in told, told)
 code, told = look('amd64', 'libc6', [])
@@ -63,4 +70,4 @@ code, told = look('amd64', 'libc6', [CONFFILE], without=unit)
 expect(code == 1 and unit + ' is not in godwit.deb' in told, told)
 done = subprocess.run([HERE.parents[1] / 'toolchain/deb/depends', '/bin/ls'], capture_output=True, text=True)
 expect(done.returncode != 0 and 'libselinux.so.1' in done.stderr, done.stdout + done.stderr)
-print('six packages looked into')
+print('seven packages looked into')
