@@ -1,7 +1,6 @@
 // One table of a scenario file, read key by key; what is wrong with it is collected, not thrown.
 #pragma once
 
-#define TOML_EXCEPTIONS 0
 #include <Eigen/Core>
 #include <algorithm>
 #include <array>
