@@ -82,7 +82,7 @@ void DeviceCamera::keep() {
     }
     if (live_ != nullptr) live_->keep();
     const rt::TimeNs now_ns = rt::monotonic_now_ns();
-    if (live_ != nullptr && exposure_.steer(now_ns)) {
+    if (live_ != nullptr && exposure_.steer(clocks_of_machine_->now_ns())) {
       exposure_ns_.store(exposure_.current().exposure_ns, std::memory_order_relaxed);
     }
     if (now_ns < due_ns) continue;
@@ -243,7 +243,7 @@ CameraStatus DeviceCamera::deliver(const PictureStream::Buffer& b, const rt::Mut
   } else {
     wrong = unpack(b, grey, bgr);
     if (wrong != nullptr) ++counters_.damaged;
-    if (wrong == nullptr && exposure_.saw(grey)) keeper_wake_.post();
+    if (wrong == nullptr && exposure_.saw(grey, frame->t_capture_ns)) keeper_wake_.post();
   }
   if (wrong != nullptr) {
     if (why != nullptr) why->assign(wrong);

@@ -366,6 +366,30 @@ TEST_F(AutomaticExposureTest, SettlesWithinTenPicturesAfterAFactorOfEight) {
   }
 }
 
+// Whoever reads late finds pictures in the driver's buffers that were taken before the last setting.
+TEST_F(AutomaticExposureTest, ALateReaderMakesItNotSwing) {
+  open_automatic();
+  constexpr int kBehind = 5;
+  const auto take = [&] {
+    device_.now_ns += kFrameNs;
+    stamp_ns_ += kFrameNs;
+    const int light = device_.control(V4L2_CID_EXPOSURE_ABSOLUTE) * device_.control(V4L2_CID_GAIN);
+    EXPECT_TRUE(device_.shoot(static_cast<std::uint8_t>(std::min(255.0, 5.0 * light)), stamp_ns_, sequence_++));
+  };
+  for (int i = 0; i < kBehind; ++i) take();
+  int swings = 0;
+  for (int i = 0; i < 80; ++i) {
+    take();
+    ASSERT_EQ(next(), CameraStatus::kFrame);
+    ++looked_at_;
+    for (int n = 0; n < 60'000 && camera_->steered() < looked_at_; ++n) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    if (i >= 30 && std::abs(pixels_.front() - 100) > 15) ++swings;
+  }
+  EXPECT_EQ(swings, 0);
+}
+
 TEST_F(AutomaticExposureTest, ATurnShortensTheExposureAndGainMakesUpForIt) {
   open_automatic();
   for (int i = 0; i < 10; ++i) picture(2.5, 0);

@@ -2,11 +2,13 @@
 // of its own.
 //   godwit_libcamera_check ID FRAMES
 // Prints what it checked; ends with 1 if something failed.
+#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "hal/camera/libcamera/libcamera_camera.h"
@@ -18,7 +20,6 @@ using namespace godwit;
 using namespace godwit::hal;
 using godwit::vm::check;
 using godwit::vm::failures;
-using godwit::vm::run;
 
 struct Seen {
   int frames = 0, bad = 0;
@@ -116,23 +117,16 @@ void formats(DeviceSettings settings, int frames) {
   }
 }
 
-void unplugged(const DeviceSettings& settings) {
+/// All buffers lie filled for a while, then they go round again: the gap is counted, and it is no reason to open anew.
+void left_alone(const DeviceSettings& settings) {
   Watch w(settings);
   if (w.camera == nullptr) return;
   w.take(10, 60 * rt::kNsPerSecond);
-  run("echo vimc.0 > /sys/bus/platform/drivers/vimc/unbind");
-  w.take(1000, 3 * rt::kNsPerSecond);
-  check(!w.camera->streaming() && w.camera->counters().gone + w.camera->counters().stalls >= 1,
-        "a camera that is unplugged is gone");
-  Seen s = w.take(1000, rt::kNsPerSecond);
-  check(s.frames == 0, "and stays so");
-  run("echo vimc.0 > /sys/bus/platform/drivers/vimc/bind");
-  const rt::TimeNs began = rt::monotonic_now_ns();
-  s = w.take(1, 60 * rt::kNsPerSecond);
-  check(s.frames == 1 && w.camera->counters().back >= 1, "plugged in again it is back");
-  std::printf("      first picture %.2f s after it was plugged in\n", rt::to_seconds(rt::monotonic_now_ns() - began));
-  s = w.take(20, 60 * rt::kNsPerSecond);
-  check(s.frames == 20 && s.not_later == 0, text(s, w));
+  std::this_thread::sleep_for(std::chrono::seconds(3));
+  const Seen s = w.take(30, 60 * rt::kNsPerSecond);
+  const DeviceCounters& c = w.camera->counters();
+  check(s.frames == 30 && s.not_later == 0 && s.bad == 0 && c.gone == 0 && c.stalls == 0 && c.lost > 0,
+        "nobody looks for three seconds: " + text(s, w));
 }
 
 }  // namespace
@@ -154,6 +148,6 @@ int main(int argc, char** argv) {
   wrong = settings;
   wrong.device = "index:9";
   check(refused(wrong, "no camera of number 9; there are"), "a camera that is not there is told");
-  unplugged(settings);
+  left_alone(settings);
   return failures == 0 ? 0 : 1;
 }

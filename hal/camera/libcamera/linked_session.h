@@ -35,7 +35,8 @@ class LinkedSession final : public LibcameraSession {
   void plan_controls(const LibcameraPlan& plan, LibcameraGiven* given);
   void sync(std::size_t index, bool begin);
   /// libcamera 0.0.3 ends the process (an assertion in PipelineHandler::stop) when a camera is stopped whose device has
-  /// gone and which it still takes to be there; after its own word that it is gone, stopping is safe.
+  /// gone and which it still takes to be there; after its own word that it is gone, stopping is safe. Seen with vimc
+  /// unbound, whose pipeline, as all but UVC's, never gives that word.
   bool device_left() const;
   bool told_so() const;  ///< waits for that word
   // libcamera's thread.

@@ -9,9 +9,9 @@ namespace {
 constexpr rt::TimeNs kFirstExposureNs = 4 * rt::kNsPerMs;
 }  // namespace
 
-bool ExposureKeeper::saw(const rt::ImageView& grey) {
+bool ExposureKeeper::saw(const rt::ImageView& grey, rt::TimeNs t_capture_ns) {
   if (plan_.mode != ExposureMode::kAutomatic) return false;
-  return seen_.try_push(measure_brightness(grey));
+  return seen_.try_push({measure_brightness(grey), t_capture_ns});
 }
 
 void ExposureKeeper::turning(double rate_rad_s) {
@@ -56,7 +56,8 @@ std::vector<std::string> ExposureKeeper::begin(const V4l2Controls* controls, int
   }
   limits.most_gain = device_->has_gain() ? std::max(1.0, std::min(limits.most_gain, device_->most_gain())) : 1.0;
   control_.emplace(limits, now_);
-  Brightness stale;
+  set_ns_ = 0;
+  Seen stale;
   while (seen_.try_pop(&stale)) {
   }
   return notes;
@@ -64,12 +65,14 @@ std::vector<std::string> ExposureKeeper::begin(const V4l2Controls* controls, int
 
 bool ExposureKeeper::steer(rt::TimeNs now_ns) {
   bool set = false;
-  Brightness seen;
+  Seen seen;
   while (seen_.try_pop(&seen)) {
     steered_.fetch_add(1, std::memory_order_relaxed);
-    if (!device_ || !control_ || !control_->frame(seen, turn_rate(now_ns))) continue;
+    if (!device_ || !control_ || seen.t_ns < set_ns_) continue;
+    if (!control_->frame(seen.brightness, turn_rate(now_ns))) continue;
     now_ = device_->apply(control_->current(), now_);
     control_->applied(now_);
+    set_ns_ = now_ns;
     set = true;
   }
   return set;

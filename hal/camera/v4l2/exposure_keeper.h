@@ -17,8 +17,9 @@ class ExposureKeeper {
  public:
   explicit ExposureKeeper(const ExposurePlan& plan) : plan_(plan) {}
 
-  /// The camera thread, once a picture. False: nobody wants to know. No allocation, no lock, no wait.
-  bool saw(const rt::ImageView& grey);
+  /// The camera thread, once a picture, with its time on the clock of steer(). False: nobody wants to know. No
+  /// allocation, no lock, no wait.
+  bool saw(const rt::ImageView& grey, rt::TimeNs t_capture_ns);
   /// How fast the camera turns [rad/s]. Any thread; no lock.
   void turning(double rate_rad_s);
 
@@ -26,7 +27,8 @@ class ExposureKeeper {
   /// be done, in words. controls live until end().
   std::vector<std::string> begin(const V4l2Controls* controls, int width);
   void end() { device_.reset(); }
-  /// Looks at the pictures seen since the last call and sets what must change. True: something was set.
+  /// Looks at the pictures seen since the last call and sets what must change. One that was taken before the last
+  /// setting and lay in a driver's buffer since says nothing of it. True: something was set.
   bool steer(rt::TimeNs now_ns);
   /// How long the device exposes now; nothing: nobody knows. Asks the driver.
   std::optional<rt::TimeNs> exposure_ns() const;
@@ -43,13 +45,19 @@ class ExposureKeeper {
   double turn_rate(rt::TimeNs now_ns);
 
   const ExposurePlan plan_;
-  rt::SpscRing<Brightness, 16> seen_;
+  struct Seen {
+    Brightness brightness;
+    rt::TimeNs t_ns = 0;
+  };
+
+  rt::SpscRing<Seen, 16> seen_;
   std::atomic<float> turn_rad_s_{kNoRate};  ///< the largest since the keeper's last look; a number alone
   std::atomic<std::uint64_t> steered_{0};   ///< a number alone
   std::optional<ExposureDevice> device_;
   std::optional<ExposureControl> control_;
   Exposure now_;
   bool set_before_ = false;
+  rt::TimeNs set_ns_ = 0;  ///< the last correction; 0: none yet
   double rate_rad_s_ = 0;
   rt::TimeNs rate_heard_ns_ = 0;
 };

@@ -102,26 +102,34 @@ static u64 interval_ns(void)
 	return (filter == 0 || filter == 7 ? 125000 : 1000000) * (u64)(registers[DIVIDER] + 1);
 }
 
+static void take_sample(void)
+{
+	measure();
+	if (registers[USER_CONTROL] & 0x40) {
+		if (registers[FIFO_ENABLE] & 0x08)
+			append(DATA, 6);
+		if (registers[FIFO_ENABLE] & 0x80)
+			append(DATA + 6, 2);
+		if (registers[FIFO_ENABLE] & 0x70)
+			append(DATA + 8, 6);
+	}
+	registers[INT_STATUS] |= 0x01;
+}
+
+/* A chip misses none when the machine is busy: those since the last call are taken now. */
 static enum hrtimer_restart sample(struct hrtimer *timer)
 {
 	bool tell = false;
 	unsigned long flags;
+	u64 due;
 
 	spin_lock_irqsave(&lock, flags);
+	due = hrtimer_forward_now(timer, ns_to_ktime(interval_ns()));
 	if (!(registers[POWER_1] & 0x40) && !stopped) {
-		measure();
-		if (registers[USER_CONTROL] & 0x40) {
-			if (registers[FIFO_ENABLE] & 0x08)
-				append(DATA, 6);
-			if (registers[FIFO_ENABLE] & 0x80)
-				append(DATA + 6, 2);
-			if (registers[FIFO_ENABLE] & 0x70)
-				append(DATA + 8, 6);
-		}
-		registers[INT_STATUS] |= 0x01;
+		for (due = min_t(u64, due, FIFO_SIZE); due > 0; --due)
+			take_sample();
 		tell = registers[INT_ENABLE] & 0x01 && !mute;
 	}
-	hrtimer_forward_now(timer, ns_to_ktime(interval_ns()));
 	spin_unlock_irqrestore(&lock, flags);
 	if (tell)
 		generic_handle_irq(interrupt);
