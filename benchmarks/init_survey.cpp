@@ -7,14 +7,13 @@
 #include <cstdlib>
 #include <cstring>
 #include <ctime>
-#include <fstream>
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
-#include <sstream>
 #include <string>
 #include <vector>
 #include <yaml-cpp/yaml.h>
 
+#include "benchmarks/table_file.h"
 #include "vo_core/initializer.h"
 #include "vo_core/pyramid.h"
 
@@ -45,19 +44,6 @@ struct Sequence {
 std::uint8_t* aligned(std::uint8_t* p) {
   const auto a = reinterpret_cast<std::uintptr_t>(p);
   return p + (godwit::rt::kRowAlignment - a % godwit::rt::kRowAlignment) % godwit::rt::kRowAlignment;
-}
-
-std::vector<std::vector<std::string>> read_table(const std::string& path) {
-  std::vector<std::vector<std::string>> rows;
-  std::ifstream in(path);
-  for (std::string line; std::getline(in, line);) {
-    if (line.empty() || line[0] == '#') continue;
-    std::istringstream words(line);
-    std::vector<std::string> row;
-    for (std::string w; words >> w;) row.push_back(w);
-    rows.push_back(row);
-  }
-  return rows;
 }
 
 const Frame* load(Sequence* s, std::size_t i) {
@@ -192,9 +178,9 @@ int main(int argc, char** argv) {
     else
       offsets.push_back(std::strtoul(a.c_str(), nullptr, 10));
   }
-  for (const auto& row : read_table(s.folder + "/rgb.txt"))
+  for (const auto& row : godwit::bench::read_table(s.folder + "/rgb.txt"))
     if (row.size() >= 2) s.pictures.emplace_back(std::stod(row[0]), row[1]);
-  for (const auto& row : read_table(s.folder + "/groundtruth.txt")) {
+  for (const auto& row : godwit::bench::read_table(s.folder + "/groundtruth.txt")) {
     if (row.size() < 8) continue;
     const auto v = [&](std::size_t k) { return std::stod(row[k]); };
     const Eigen::Quaterniond q(v(7), v(4), v(5), v(6));

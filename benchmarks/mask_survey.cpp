@@ -8,15 +8,14 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <fstream>
 #include <map>
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <sstream>
 #include <string>
 #include <vector>
 
+#include "benchmarks/table_file.h"
 #include "detector/decode.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
 
@@ -39,23 +38,6 @@ struct Sums {
   std::map<int, int> runs;
   std::vector<Person> before;
 };
-
-std::vector<std::vector<std::string>> read_table(const std::string& path) {
-  std::vector<std::vector<std::string>> rows;
-  std::ifstream in(path);
-  if (!in) {
-    std::fprintf(stderr, "cannot read %s\n", path.c_str());
-    std::exit(1);
-  }
-  for (std::string line; std::getline(in, line);) {
-    if (line.empty() || line[0] == '#') continue;
-    std::istringstream words(line);
-    std::vector<std::string> row;
-    for (std::string w; words >> w;) row.push_back(w);
-    rows.push_back(row);
-  }
-  return rows;
-}
 
 cv::Mat picture(const std::string& path) {
   cv::Mat out = cv::imread(path, cv::IMREAD_COLOR);
@@ -171,12 +153,12 @@ int main(int argc, char** argv) {
   }
   if (holds.empty()) holds = {1.F, 0.15F};
   std::map<std::string, std::vector<detector::Box>> people;
-  for (const auto& row : read_table(folders[0] + "/boxes.txt"))
+  for (const auto& row : bench::read_table(folders[0] + "/boxes.txt"))
     people[row.at(0)].push_back(
         {std::stof(row.at(1)), std::stof(row.at(2)), std::stof(row.at(3)), std::stof(row.at(4))});
   std::map<std::string, std::string> empty;
-  for (const auto& row : read_table(folders[1] + "/rgb.txt")) empty[row.at(0)] = row.at(1);
-  const auto pictures = read_table(folders[0] + "/rgb.txt");
+  for (const auto& row : bench::read_table(folders[1] + "/rgb.txt")) empty[row.at(0)] = row.at(1);
+  const auto pictures = bench::read_table(folders[0] + "/rgb.txt");
 
   const cv::Mat first = picture(folders[0] + "/" + pictures.at(0).at(1));
   rt::FramePool::Layout layout;

@@ -133,6 +133,18 @@ def scale_and_ate(place, truth):
     return scale, math.sqrt(((b - turned_a) ** 2).sum(axis=1).mean())
 
 
+def fly_by_imu(program, sequence, out):
+    """The flight's ODOMETRY messages as the bus had them, (time of arrival, message); None where it did not end well."""
+    sniffer, ap = Sniffer(0), EmulatedAutopilot()
+    text, code = fly(program, sequence, out, ap, "--imu", "on", "--detector", "off")
+    ap.node.close()
+    check(code == 0, "flew to its end (%s)" % code)
+    if code != 0:
+        print(text)
+        return None
+    return sniffer.odometry()
+
+
 def recording(program, source):
     a, b = RECORDING_BLACK_S
     print("a recording through %.0f s of black" % (b - a))
@@ -140,14 +152,9 @@ def recording(program, source):
         sequence, out = os.path.join(folder, "sequence"), os.path.join(folder, "out")
         take_recording(source, sequence)
         truth = Truth(os.path.join(source, "groundtruth_body.txt"))
-        sniffer, ap = Sniffer(0), EmulatedAutopilot()
-        text, code = fly(program, sequence, out, ap, "--imu", "on", "--detector", "off")
-        ap.node.close()
-        check(code == 0, "flew to its end (%s)" % code)
-        if code != 0:
-            print(text)
+        samples = fly_by_imu(program, sequence, out)
+        if samples is None:
             return
-        samples = sniffer.odometry()
         frames = list(csv.DictReader(open(os.path.join(out, "frames.csv"))))
     processed = [f for f in frames if f["fate"] == "processed"]
     offset = clock_offset(samples, [nanoseconds(f["t"]) // 1000 for f in processed])
@@ -240,14 +247,9 @@ def autopilot(program, scenario, seed):
         sequence, out = os.path.join(folder, "sequence"), os.path.join(folder, "out")
         first = make_flight(program, scenario, sequence, seed)
         truth = Truth(os.path.join(sequence, "groundtruth_body.txt"))
-        sniffer, ap = Sniffer(0), EmulatedAutopilot()
-        text, code = fly(program, sequence, out, ap, "--imu", "on", "--detector", "off")
-        ap.node.close()
-        check(code == 0, "flew to its end (%s)" % code)
-        if code != 0:
-            print(text)
+        samples = fly_by_imu(program, sequence, out)
+        if samples is None:
             return
-        samples = sniffer.odometry()
         frames = list(csv.DictReader(open(os.path.join(out, "frames.csv"))))
         summary = json.load(open(os.path.join(out, "summary.json")))
     processed = [f for f in frames if f["fate"] == "processed"]

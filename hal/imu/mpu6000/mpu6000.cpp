@@ -8,10 +8,10 @@ namespace godwit::hal {
 namespace {
 
 // Registers (RM-MPU-6000A, chapter 3).
-constexpr std::uint8_t kSelfTestX = 0x0D, kSampleRateDivider = 0x19, kConfig = 0x1A, kGyroConfig = 0x1B,
-                       kAccelConfig = 0x1C, kFifoEnable = 0x23, kInterruptStatus = 0x3A, kAccelXHigh = 0x3B,
-                       kSignalPathReset = 0x68, kUserControl = 0x6A, kPower1 = 0x6B, kPower2 = 0x6C, kFifoCount = 0x72,
-                       kFifo = 0x74, kWhoAmI = 0x75;
+constexpr std::uint8_t kSelfTestX = 0x0D, kSampleRateDivider = 0x19, kGyroConfig = 0x1B, kAccelConfig = 0x1C,
+                       kFifoEnable = 0x23, kInterruptStatus = 0x3A, kAccelXHigh = 0x3B, kSignalPathReset = 0x68,
+                       kUserControl = 0x6A, kPower1 = 0x6B, kPower2 = 0x6C, kFifoCount = 0x72, kFifo = 0x74,
+                       kWhoAmI = 0x75;
 constexpr std::uint8_t kMpu6000 = 0x68;
 constexpr std::uint8_t kOverflow = 0x10;
 constexpr std::uint8_t kNoI2c = 0x10, kFifoOn = 0x40, kFifoReset = 0x04;
