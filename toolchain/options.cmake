@@ -29,6 +29,10 @@ set(CMAKE_C_FLAGS_SANITIZE "-O1 -g1 -fno-omit-frame-pointer")
 if(GODWIT_SANITIZE)
   add_compile_options(-fsanitize=${GODWIT_SANITIZE} -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${GODWIT_SANITIZE})
+  # Clang tells the source by __has_feature alone.
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang" AND GODWIT_SANITIZE MATCHES "address")
+    add_compile_definitions(__SANITIZE_ADDRESS__=1)
+  endif()
 endif()
 
 find_program(CCACHE ccache)

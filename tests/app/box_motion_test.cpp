@@ -6,7 +6,7 @@
 #include <vector>
 
 namespace godwit::app {
-namespace {
+namespace box_motion_test {
 
 constexpr int kWidth = 320, kHeight = 240;
 
@@ -96,5 +96,5 @@ TEST(BoxMotion, ManyBoxesAreBounded) {
   EXPECT_LE(motion.next(view(p), boxes).size(), 4u * BoxMotion::kMaxBoxes);
 }
 
-}  // namespace
+}  // namespace box_motion_test
 }  // namespace godwit::app

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::app {
-namespace {
+namespace camera_turn_test {
 
 constexpr rt::TimeNs kFrame = 33 * rt::kNsPerMs;
 
@@ -74,5 +74,5 @@ TEST(CameraTurn, WithoutTwoFreshPosesOfOneMapNothingTurns) {
   EXPECT_TRUE(still(turn.next(21 * kFrame))) << "too long between the two";
 }
 
-}  // namespace
+}  // namespace camera_turn_test
 }  // namespace godwit::app

@@ -7,7 +7,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
-namespace {
+namespace devices_test {
 
 using ::testing::HasSubstr;
 
@@ -144,5 +144,5 @@ TEST(Devices, WhatIsNotThereIsToldAndNoReasonNotToStart) {
   EXPECT_THAT(told, HasSubstr("warning: IMU: iio: "));
 }
 
-}  // namespace
+}  // namespace devices_test
 }  // namespace godwit::app

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::app {
-namespace {
+namespace doctor_detector_test {
 
 using testing::AllOf;
 using testing::HasSubstr;
@@ -53,5 +53,5 @@ TEST(DoctorDetector, AMissingNetworkIsWrongAndNoneWantedIsNot) {
   EXPECT_EQ(wrong, 0);
 }
 
-}  // namespace
+}  // namespace doctor_detector_test
 }  // namespace godwit::app

@@ -6,7 +6,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
-namespace {
+namespace doctor_power_test {
 
 using test::TempFolder;
 using test::write_file;
@@ -81,5 +81,5 @@ TEST(DoctorPower, NothingKnownNothingSaid) {
   EXPECT_EQ(wrong, 0);
 }
 
-}  // namespace
+}  // namespace doctor_power_test
 }  // namespace godwit::app

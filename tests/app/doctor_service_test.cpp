@@ -9,7 +9,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
-namespace {
+namespace doctor_service_test {
 
 using test::TempFolder;
 using test::write_file;
@@ -156,5 +156,5 @@ TEST(DoctorService, WithoutItsUserTheUnitDoesNotStart) {
   EXPECT_EQ(wrong, 1);
 }
 
-}  // namespace
+}  // namespace doctor_service_test
 }  // namespace godwit::app

@@ -10,7 +10,7 @@
 #include "hal/rt/rt_scope.h"
 
 namespace godwit::app {
-namespace {
+namespace dynamic_masks_test {
 
 constexpr int kWidth = 320, kHeight = 240;
 
@@ -158,5 +158,5 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
   EXPECT_GT(masked_frames, 50) << "boxes must have come, or nothing was tried";
 }
 
-}  // namespace
+}  // namespace dynamic_masks_test
 }  // namespace godwit::app

@@ -13,7 +13,7 @@
 #include "tests/vo_core/inertial_flight.h"
 
 namespace godwit::app {
-namespace {
+namespace inertial_poses_test {
 
 using vo::Mat3;
 using vo::Mat6;
@@ -223,5 +223,5 @@ TEST(InertialPoses, NoNanLeavesWhateverComesIn) {
   }
 }
 
-}  // namespace
+}  // namespace inertial_poses_test
 }  // namespace godwit::app

@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 
 namespace godwit::app {
-namespace {
+namespace looped_pictures_test {
 
 /// Pictures of 4 x 2 pixels that hold their number; some are bad.
 class Numbers final : public hal::Camera {
@@ -97,5 +97,5 @@ TEST(LoopedPictures, AtRealPaceAPictureComesWhenItIsDueAndWaitingIsBounded) {
   EXPECT_GT(timeouts, 3);
 }
 
-}  // namespace
+}  // namespace looped_pictures_test
 }  // namespace godwit::app

@@ -15,7 +15,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
-namespace {
+namespace output_test {
 
 using test::read_file;
 using test::TempFolder;
@@ -377,5 +377,5 @@ TEST(EventLine, SaysWhatWhyFigureAndLimit) {
             "t=12.43 s rung down full -> small_input: slips 2, limit 2");
 }
 
-}  // namespace
+}  // namespace output_test
 }  // namespace godwit::app

@@ -11,7 +11,7 @@
 #include "hal/rt/rt_scope.h"
 
 namespace godwit::app {
-namespace {
+namespace parked_boxes_test {
 
 using vo::Vec3;
 constexpr int kWidth = 640, kHeight = 480;
@@ -296,5 +296,5 @@ TEST(ParkedBoxes, MoreThingsThanTracksAndLateDetections) {
   EXPECT_EQ(many.front().track, -1) << "older than the pictures that are remembered";
 }
 
-}  // namespace
+}  // namespace parked_boxes_test
 }  // namespace godwit::app

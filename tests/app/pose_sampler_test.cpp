@@ -10,7 +10,7 @@
 #include "vo_core/tracker.h"
 
 namespace godwit::app {
-namespace {
+namespace pose_sampler_test {
 
 using Mat3 = Eigen::Matrix3d;
 using Mat6 = Eigen::Matrix<double, 6, 6>;
@@ -332,5 +332,5 @@ TEST(VelocityFit, AGapBeginsAnew) {
   EXPECT_EQ(fit.points(), 1U);
 }
 
-}  // namespace
+}  // namespace pose_sampler_test
 }  // namespace godwit::app

@@ -9,7 +9,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
-namespace {
+namespace recorder_test {
 
 constexpr const char* kCalibration =
     "model: pinhole\nwidth: 96\nheight: 64\nfx: 90\nfy: 90\ncx: 48\ncy: 32\ndistortion_model: none\ndistortion: []\n";
@@ -120,5 +120,5 @@ TEST(Recorder, AFolderThatCannotBeMadeIsAnError) {
   EXPECT_FALSE(record_devices(nullptr, &imu, options, {}, stop).ok());
 }
 
-}  // namespace
+}  // namespace recorder_test
 }  // namespace godwit::app

@@ -10,7 +10,7 @@
 #include <vector>
 
 namespace godwit::app {
-namespace {
+namespace scheduler_test {
 
 constexpr rt::TimeNs kFrame = 33'333'333;
 constexpr rt::TimeNs kMs = rt::kNsPerMs;
@@ -358,5 +358,5 @@ TEST(Scheduler, CountsEveryFrameAndEveryChangeOnce) {
   EXPECT_NEAR(rt::to_seconds(total), 7200, 1);
 }
 
-}  // namespace
+}  // namespace scheduler_test
 }  // namespace godwit::app

@@ -6,7 +6,7 @@
 #include "firmware_app/config/link_settings.h"
 
 namespace godwit::app {
-namespace {
+namespace version_test {
 
 TEST(Version, WordsSayTheCommitAndWhetherFilesDifferFromIt) {
   EXPECT_EQ(version_words({"0.1.0", "5cbb52e0a1b2", false}), "0.1.0 (commit 5cbb52e0a1b2)");
@@ -26,5 +26,5 @@ TEST(Version, TheBusHearsItInFigures) {
   EXPECT_EQ(identity.software_minor, minor_of(version()));
 }
 
-}  // namespace
+}  // namespace version_test
 }  // namespace godwit::app

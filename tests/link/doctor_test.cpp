@@ -5,7 +5,7 @@
 #include "tests/link/fake_bus.h"
 
 namespace godwit::link {
-namespace {
+namespace doctor_test {
 
 std::map<std::string, double> good() {
   std::map<std::string, double> p{
@@ -230,5 +230,5 @@ TEST(TiltTest, AWrongMovementAndABlindCameraAreTold) {
   EXPECT_NE(blind[0].find("hardly saw"), std::string::npos);
 }
 
-}  // namespace
+}  // namespace doctor_test
 }  // namespace godwit::link

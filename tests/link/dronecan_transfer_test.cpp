@@ -9,7 +9,7 @@
 #include "tests/link/hex.h"
 
 namespace godwit::link::dronecan {
-namespace {
+namespace dronecan_transfer_test {
 
 constexpr rt::TimeNs kMs = rt::kNsPerMs;
 
@@ -426,5 +426,5 @@ TEST(Half, SpecialValues) {
   EXPECT_TRUE(std::isnan(float_from_half(0x7E00)));
 }
 
-}  // namespace
+}  // namespace dronecan_transfer_test
 }  // namespace godwit::link::dronecan

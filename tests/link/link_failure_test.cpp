@@ -8,7 +8,7 @@
 #include "tests/link/fake_bus.h"
 
 namespace godwit::link {
-namespace {
+namespace link_failure_test {
 
 constexpr rt::TimeNs kMs = rt::kNsPerMs;
 
@@ -325,5 +325,5 @@ TEST(LinkNode, NothingThatIsNotFiniteLeaves) {
   }
 }
 
-}  // namespace
+}  // namespace link_failure_test
 }  // namespace godwit::link

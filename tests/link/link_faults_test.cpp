@@ -6,7 +6,7 @@
 #include "tests/link/fake_bus.h"
 
 namespace godwit::link {
-namespace {
+namespace link_faults_test {
 
 constexpr rt::TimeNs kMs = rt::kNsPerMs;
 
@@ -334,5 +334,5 @@ TEST(LinkFaults, DamagedFramesChangeNothingAndTheLinkRecovers) {
   EXPECT_GE(h.link->endpoint().counters().inputs - before, 99U) << "within a second all is well again";
 }
 
-}  // namespace
+}  // namespace link_faults_test
 }  // namespace godwit::link

@@ -9,7 +9,7 @@
 #include "tests/link/fake_bus.h"
 
 namespace godwit::link {
-namespace {
+namespace link_node_test {
 
 constexpr rt::TimeNs kMs = rt::kNsPerMs;
 
@@ -334,5 +334,5 @@ TEST(LinkNode, StepsDoNotAllocate) {
   EXPECT_EQ(after.frees, before.frees);
 }
 
-}  // namespace
+}  // namespace link_node_test
 }  // namespace godwit::link

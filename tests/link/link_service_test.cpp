@@ -10,7 +10,7 @@
 #include "tests/link/fake_bus.h"
 
 namespace godwit::link {
-namespace {
+namespace link_service_test {
 
 LinkSettings settings() {
   LinkSettings s;
@@ -117,5 +117,5 @@ TEST(LinkService, PosesCrossThreadsToTheBus) {
   EXPECT_GE(status.bus.sent, 10U * 40U);
 }
 
-}  // namespace
+}  // namespace link_service_test
 }  // namespace godwit::link

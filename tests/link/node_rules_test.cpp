@@ -12,7 +12,7 @@
 #include "firmware_app/link/status_texts.h"
 
 namespace godwit::link {
-namespace {
+namespace node_rules_test {
 
 using dronecan::NodeHealth;
 using dronecan::NodeMode;
@@ -253,5 +253,5 @@ TEST(ResetCounter, IsReservedOnDiskAheadOfUse) {
   EXPECT_EQ(counter.value(), 1) << "it goes round";
 }
 
-}  // namespace
+}  // namespace node_rules_test
 }  // namespace godwit::link

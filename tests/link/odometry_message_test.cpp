@@ -5,7 +5,7 @@
 #include <random>
 
 namespace godwit::link {
-namespace {
+namespace odometry_message_test {
 
 using Mat6 = Eigen::Matrix<double, 6, 6>;
 using Vec6 = Eigen::Matrix<double, 6, 1>;
@@ -258,5 +258,5 @@ TEST(OdometryMessage, FillsTheFieldsTheProfilesWant) {
   EXPECT_EQ(m.estimator_type, 3);
 }
 
-}  // namespace
+}  // namespace odometry_message_test
 }  // namespace godwit::link

@@ -20,7 +20,7 @@
 #include "tests/link/hex.h"
 
 namespace godwit::link {
-namespace {
+namespace parts_test {
 
 class StorageTest : public ::testing::Test {
  protected:
@@ -501,5 +501,5 @@ TEST(Inputs, AreScaledAndNonsenseIsRefused) {
   EXPECT_EQ(input.t_source_us, 55U);
 }
 
-}  // namespace
+}  // namespace parts_test
 }  // namespace godwit::link

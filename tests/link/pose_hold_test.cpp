@@ -7,7 +7,7 @@
 #include "tests/link/viso_type3.h"
 
 namespace godwit::link {
-namespace {
+namespace pose_hold_test {
 
 constexpr double kSpeed = 5;  // [m/s], along the world's x
 
@@ -174,5 +174,5 @@ TEST(PoseHold, NonsenseIsNoAttitude) {
   EXPECT_TRUE(hold.pose().q.isApprox(Eigen::Vector4d(1, 0, 0, 0)));
 }
 
-}  // namespace
+}  // namespace pose_hold_test
 }  // namespace godwit::link
