@@ -137,22 +137,19 @@ TEST(Godwitd, TheLogBeginsWithTheVersionAndArmedIsNotSaidWhereNothingIsLocked) {
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
 
-TEST(Godwitd, SigtermEndsItCleanlyWithinHalfASecond) {
+TEST(Godwitd, SigtermAndSigintEndItCleanlyWithinTheServicesTime) {
   const test::TempFolder folder;
   const std::string config = write_config(folder, kSmallFlight);
-  // The best of three: other programs may hold the processor while one of them ends.
-  rt::TimeNs best = 3600 * rt::kNsPerSecond;
-  for (int i = 0; i < 3; ++i) {
+  for (const int how : {SIGINT, SIGTERM}) {
     Daemon daemon(config);
     ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
     rt::TimeNs took = 0;
-    EXPECT_EQ(daemon.end(i == 0 ? SIGINT : SIGTERM, &took), 0) << daemon.all();
+    EXPECT_EQ(daemon.end(how, &took), 0) << daemon.all();
     EXPECT_THAT(daemon.all(), HasSubstr("frames, ")) << "the last words are the counts";
-    best = std::min(best, took);
-    if (best < 500 * rt::kNsPerMs) break;
+    RecordProperty("ms", std::to_string(took / rt::kNsPerMs));
+    // TimeoutStopSec of the unit; how long it takes on an idle machine is benchmarks/service_bars' to say.
+    EXPECT_LT(took, 5 * rt::kNsPerSecond);
   }
-  RecordProperty("ms", std::to_string(best / rt::kNsPerMs));
-  EXPECT_LT(best, 500 * rt::kNsPerMs);
 }
 
 TEST(Godwitd, TheScenariosInertialSensorIsFlownByOnceForthAndTheFlightEnds) {
