@@ -8,8 +8,9 @@ say() { echo "in_root: $*"; }
 fail() { echo "in_root: FAILED: $*"; exit 1; }
 version() { dpkg-query -W -f '${Version}' godwit; }
 config=/etc/godwit/godwit.toml
-old=$(dpkg-deb -f "$(ls "$folder"/old/godwit_*.deb)" Version)
-new=$(dpkg-deb -f "$(ls "$folder"/new/godwit_*.deb)" Version)
+# Nothing here asks ls: in the arm64 root it calls statx, whose paths proot 5.1 does not lead into the root.
+old=$(dpkg-deb -f "$folder"/old/godwit_*.deb Version)
+new=$(dpkg-deb -f "$folder"/new/godwit_*.deb Version)
 command -v cc g++ gcc && fail "there is a compiler: this is no clean machine"
 
 "$@" "$folder"/old/*.deb
@@ -52,6 +53,9 @@ dpkg --remove godwit >/dev/null
 [ ! -e /usr/bin/godwitd ] && [ -e $config ] && [ -e /var/lib/godwit/parameters ] || fail "removed: programs must go, $config and state stay"
 say "removed"
 dpkg --purge godwit godwit-models >/dev/null
-left=$(ls -d $config /var/lib/godwit /usr/share/godwit /usr/share/doc/godwit 2>/dev/null || true)
+left=
+for path in $config /var/lib/godwit /usr/share/godwit /usr/share/doc/godwit; do
+  [ ! -e "$path" ] || left="$left $path"
+done
 [ -z "$left" ] || fail "purged, and something is left: $left"
 say "purged; nothing is left"
