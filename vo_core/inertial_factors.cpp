@@ -136,8 +136,8 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   return r;
 }
 
-void whiten_pair(const Preintegration& d, const VisionSight& at_i, const InertialModel& model, PairResidual* r,
-                 PairJacobian* J_i, PairJacobian* J_j) {
+void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model,
+                 PairResidual* r, PairJacobian* J_i, PairJacobian* J_j) {
   const double root = std::sqrt(d.dt_s());
   const Mat9 L = d.covariance().llt().matrixL();
   // Written out: of a matrix Eigen solves by blocks, which may allocate.
@@ -163,7 +163,9 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const Inertia
   weigh(18, 3, model.mounting_walk * root);
   weigh(21, 1, model.time_walk * root);
   weigh(22, 3, model.rotation_walk * root);
-  weigh(25, 3, model.position_walk * at_i.depth * root);
+  weigh(25, 3,
+        std::hypot(model.position_walk * at_i.depth * root,
+                   model.own_position * std::hypot(at_i.own_position, at_j.own_position)));
 }
 
 }  // namespace godwit::vo

@@ -28,6 +28,7 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
   sight.R_map_cam = pose.T_map_cam.R;
   sight.camera = pose.T_map_cam.t;
   sight.depth = std::max(1e-6, pose.median_depth);
+  sight.own_position = std::sqrt(pose.own_covariance.diagonal().head<3>().mean());
   // The rate over 10 ms around the frame.
   Preintegration around;
   buffer_.integrate(pose.t_ns - 5 * rt::kNsPerMs, pose.t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);

@@ -17,11 +17,12 @@ struct VisualPose {
   bool tracked = false;
   std::uint32_t map_id = 0;
   SE3 T_map_cam;
-  Mat6 covariance = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_map, map units and rad
-  double median_depth = 1;         ///< [map units]
-  bool map_moved = false;          ///< the map was corrected before this frame; by it the last frame's camera
-  Vec3 moved_by = Vec3::Zero();    ///< moved [map units]
-  Vec3 turned_by = Vec3::Zero();   ///< and turned, rotation vector along the map's axes
+  Mat6 covariance = Mat6::Zero();      ///< of the left twist (v, w) of T_cam_map, map units and rad
+  Mat6 own_covariance = Mat6::Zero();  ///< the same of this picture's own matches alone
+  double median_depth = 1;             ///< [map units]
+  bool map_moved = false;              ///< the map was corrected before this frame; by it the last frame's camera
+  Vec3 moved_by = Vec3::Zero();        ///< moved [map units]
+  Vec3 turned_by = Vec3::Zero();       ///< and turned, rotation vector along the map's axes
 };
 
 struct InertialOdometryOptions {
@@ -34,7 +35,7 @@ struct InertialOdometryOptions {
   int window = 12;                                ///< moments kept from then on
   /// What refuses to guess: the scale's sigma, the vertical's, and how badly all fits. At rest the scale's comes out
   /// above 0.1: places that only seem to move carry about one unit of information each.
-  double begin_scale_sigma = 0.05;
+  double begin_scale_sigma = 0.08;
   double begin_up_sigma = 0.03;  ///< [rad]
   double begin_chi2 = 3;         ///< a degree of freedom
   /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.

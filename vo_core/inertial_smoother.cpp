@@ -118,7 +118,7 @@ double InertialSmoother::add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_j
   const Preintegration& between = node(i + 1).since_last;
   PairResidual r = pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_,
                                  model_.gravity_m_s2, &J_i, &J_j);
-  whiten_pair(between, node(i).sight, model_, &r, &J_i, &J_j);
+  whiten_pair(between, node(i).sight, node(i + 1).sight, model_, &r, &J_i, &J_j);
   H_ii->noalias() += J_i.transpose().lazyProduct(J_i);
   H_ij->noalias() = J_i.transpose().lazyProduct(J_j);
   H_jj->noalias() += J_j.transpose().lazyProduct(J_j);

@@ -194,6 +194,7 @@ TEST(InertialPoses, NoNanLeavesWhateverComesIn) {
       [](vo::FrameResult* r) { r->T_world_cam.t.x() = kNan; },
       [](vo::FrameResult* r) { r->T_world_cam.R(2, 1) = kNan; },
       [](vo::FrameResult* r) { r->covariance(4, 4) = kNan; },
+      [](vo::FrameResult* r) { r->own_covariance(1, 1) = kNan; },
       [](vo::FrameResult* r) { r->median_depth = kNan; },
       [](vo::FrameResult* r) { r->map_moved = true, r->moved_by.y() = kNan; },
       [](vo::FrameResult* r) { r->map_moved = true, r->turned_by.y() = kNan; },
