@@ -6,12 +6,8 @@
 #include <gtest/gtest.h>
 #include <mutex>
 
-#include "hal/rt/alloc_hook.h"
-#include "hal/rt/rt_scope.h"
 #include "tests/camera/fake_libcamera.h"
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#include "hal/rt/lock_hook.h"
-#endif
+#include "tests/camera/no_cost.h"
 
 namespace godwit::hal {
 namespace {
@@ -96,24 +92,14 @@ TEST_F(LibcameraCameraTest, DeliversPicturesWithoutAllocationOrLock) {
   EXPECT_TRUE(camera_->real_time());
   EXPECT_EQ(camera_->channels(), 1);
   ASSERT_EQ(shoot(), CameraStatus::kFrame);
-  const rt::HeapCounts before = rt::rt_heap_counts();
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  const std::uint64_t locks = rt::rt_lock_count();
-#endif
   // libcamera's thread is this one, too: what it does of ours is held to the same.
-  for (int i = 0; i < 50; ++i) {
-    const rt::RtScope real_time;
+  test::expect_no_heap_and_no_lock(50, [this](int i) {
     ASSERT_EQ(shoot(static_cast<std::uint8_t>(i)), CameraStatus::kFrame);
     ASSERT_EQ(pixels_.front(), i);
     ASSERT_EQ(pixels_.back(), i);
     ASSERT_EQ(frame_.t_capture_ns, stamp_ns_);
     ASSERT_EQ(frame_.sequence, static_cast<std::uint32_t>(i + 1));
-  }
-  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
-  EXPECT_EQ(rt::rt_heap_counts().frees, before.frees);
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  EXPECT_EQ(rt::rt_lock_count(), locks);
-#endif
+  });
 }
 
 TEST_F(LibcameraCameraTest, ColourIsGivenWhereTheCameraHasIt) {

@@ -10,10 +10,8 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/camera/fake_video.h"
+#include "tests/camera/no_cost.h"
 #include "tests/support/temp_folder.h"
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#include "hal/rt/lock_hook.h"
-#endif
 
 namespace godwit::hal {
 namespace {
@@ -85,23 +83,13 @@ TEST_F(V4l2CameraTest, DeliversPicturesWithoutAllocationOrLock) {
   EXPECT_TRUE(camera_->real_time());
   EXPECT_EQ(camera_->channels(), 1);
   ASSERT_EQ(shoot(), CameraStatus::kFrame);
-  const rt::HeapCounts before = rt::rt_heap_counts();
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  const std::uint64_t locks = rt::rt_lock_count();
-#endif
-  for (int i = 0; i < 50; ++i) {
-    const rt::RtScope real_time;
+  test::expect_no_heap_and_no_lock(50, [this](int i) {
     ASSERT_EQ(shoot(static_cast<std::uint8_t>(i)), CameraStatus::kFrame);
     ASSERT_EQ(pixels_.front(), i);
     ASSERT_EQ(pixels_.back(), i);
     ASSERT_EQ(frame_.t_capture_ns, stamp_ns_);
     ASSERT_EQ(frame_.sequence, static_cast<std::uint32_t>(i + 1));
-  }
-  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
-  EXPECT_EQ(rt::rt_heap_counts().frees, before.frees);
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  EXPECT_EQ(rt::rt_lock_count(), locks);
-#endif
+  });
 }
 
 TEST_F(V4l2CameraTest, AGapInTheDriversSequenceIsCounted) {
@@ -516,22 +504,13 @@ TEST_F(V4l2CameraTest, FedByAThreadOfItsOwnMjpegCostsTheReaderNoHeapAndNoLock) {
     return status;
   };
   ASSERT_EQ(shoot_and_read(), CameraStatus::kFrame);
-  const rt::HeapCounts before = rt::rt_heap_counts();
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  const std::uint64_t locks = rt::rt_lock_count();
-#endif
-  for (std::uint32_t i = 1; i < 30; ++i) {
-    const rt::RtScope real_time;
+  test::expect_no_heap_and_no_lock(29, [&](int i) {
     ASSERT_EQ(shoot_and_read(), CameraStatus::kFrame);
-    ASSERT_EQ(frame_.sequence, i);
+    ASSERT_EQ(frame_.sequence, static_cast<std::uint32_t>(i + 1));
     ASSERT_EQ(frame_.t_source_ns, stamp_ns_ / 1000 * 1000);
     ASSERT_NEAR(pixels_.back(), 0.114 * 30 + 0.587 * 120 + 0.299 * 200, 3);
     ASSERT_NEAR(bgr_.back(), 200, 4);
-  }
-  EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-  EXPECT_EQ(rt::rt_lock_count(), locks);
-#endif
+  });
   device_.jpeg.resize(device_.jpeg.size() / 2);
   EXPECT_EQ(shoot_and_read(), CameraStatus::kBadFrame);
   EXPECT_NE(why_.find("JPEG"), std::string::npos);
