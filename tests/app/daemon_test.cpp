@@ -311,12 +311,16 @@ TEST(Godwitd, RefusesToStartWithAllThatIsWrong) {
   const std::string config = write_config(folder, "[camera]\nsource = \"film\"\npictures = 1\n");
   const auto [said, code] = run(GODWIT_DAEMON " --config " + config);
   EXPECT_EQ(code, 2);
-  EXPECT_THAT(said, HasSubstr(config + ":2: camera.source: \"none\", \"sim\", \"replay\" or \"v4l2\" is allowed"));
+  EXPECT_THAT(
+      said,
+      HasSubstr(config + ":2: camera.source: \"none\", \"sim\", \"replay\", \"v4l2\" or \"libcamera\" is allowed"));
   EXPECT_THAT(said, HasSubstr(config + ":3: camera.pictures: a whole number from 2 to 10000 is allowed"));
   EXPECT_EQ(run(GODWIT_DAEMON).second, 2) << "without a configuration it does not guess one";
   const auto [none, none_code] = run(GODWIT_DAEMON " --config " + write_config(folder, ""));
   EXPECT_EQ(none_code, 2);
-  EXPECT_THAT(none, HasSubstr("camera.source: a daemon needs a camera; \"v4l2\", \"replay\" or \"sim\" is allowed"));
+  EXPECT_THAT(
+      none,
+      HasSubstr("camera.source: a daemon needs a camera; \"v4l2\", \"libcamera\", \"replay\" or \"sim\" is allowed"));
 }
 
 TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {

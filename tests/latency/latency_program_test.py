@@ -124,7 +124,7 @@ class Latency(unittest.TestCase):
         config.write_text('[camera]\nsource = "sim"\n')
         done = run(LATENCY, '--camera', config, '--seconds', 1)
         self.assertEqual(done.returncode, 2)
-        self.assertIn('camera.source: "v4l2" is what --camera flies', done.stderr)
+        self.assertIn('camera.source: "v4l2" or "libcamera" is what --camera flies', done.stderr)
         config.write_text('[camera]\nsource = "v4l2"\ncalibration = "/nowhere.yaml"\n')
         done = run(LATENCY, '--camera', config, '--seconds', 1)
         self.assertEqual(done.returncode, 2)
