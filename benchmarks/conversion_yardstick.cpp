@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "benchmarks/yardstick.h"
+#include "hal/camera/pixels/jpeg_decoder.h"
+#include "hal/camera/pixels/pixel_format.h"
 #include "hal/camera/replay/replay_camera.h"
-#include "hal/camera/v4l2/jpeg_decoder.h"
-#include "hal/camera/v4l2/pixel_format.h"
 
 namespace {
 

@@ -4,7 +4,7 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include "hal/camera/fed_camera.h"
+#include "hal/camera/device/fed_camera.h"
 #include "hal/camera/libcamera/libcamera_camera.h"
 #include "hal/camera/v4l2/v4l2_camera.h"
 #include "hal/imu/iio/iio_imu.h"
@@ -163,8 +163,7 @@ rt::Result<std::unique_ptr<hal::Camera>> open_device(const Config::Camera& confi
     if (!settings) return settings.error();
     auto library = hal::load_libcamera();
     if (!library) return rt::Error{"camera.source: " + library.error().message};
-    auto opened =
-        hal::LibcameraCamera::open(std::move(library).value(), hal::linux_video_system(), settings.value(), tell);
+    auto opened = hal::LibcameraCamera::open(std::move(library).value(), hal::linux_clocks(), settings.value(), tell);
     if (!opened) return opened.error();
     camera = std::move(opened).value();
   } else {

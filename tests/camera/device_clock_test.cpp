@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/device_clock.h"
+#include "hal/camera/device/device_clock.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

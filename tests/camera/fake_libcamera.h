@@ -10,8 +10,8 @@
 #include <thread>
 #include <vector>
 
+#include "hal/camera/device/machine_clocks.h"
 #include "hal/camera/libcamera/libcamera_system.h"
-#include "hal/camera/machine_clocks.h"
 #include "tests/camera/fake_video.h"
 
 namespace godwit::test {

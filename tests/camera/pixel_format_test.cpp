@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/pixel_format.h"
+#include "hal/camera/pixels/pixel_format.h"
 
 #include <cstring>
 #include <gtest/gtest.h>
@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "hal/camera/v4l2/yuv_rows.h"
+#include "hal/camera/pixels/yuv_rows.h"
 
 namespace godwit::hal {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <memory>
 
-#include "hal/camera/device_camera.h"
+#include "hal/camera/device/device_camera.h"
 #include "hal/camera/libcamera/libcamera_system.h"
 
 namespace godwit::hal {

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "hal/camera/device/picture_stream.h"
 #include "hal/camera/libcamera/libcamera_system.h"
-#include "hal/camera/picture_stream.h"
 #include "hal/rt/result.h"
 #include "hal/rt/spsc_ring.h"
 #include "hal/rt/wake_up.h"

@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include "hal/camera/exposure_control.h"
-#include "hal/camera/v4l2/pixel_format.h"
+#include "hal/camera/device/exposure_control.h"
+#include "hal/camera/pixels/pixel_format.h"
 #include "hal/rt/result.h"
 #include "hal/rt/time.h"
 

@@ -1,7 +1,5 @@
 #include <algorithm>
 #include <cerrno>
-#include <cstdlib>
-#include <ctime>
 #include <fcntl.h>
 #include <filesystem>
 #include <fstream>
@@ -34,27 +32,10 @@ void each_entry(const fs::path& folder, Use use) {
   }
 }
 
-rt::TimeNs clock_ns(clockid_t id) {
-  timespec t{};
-  clock_gettime(id, &t);
-  return static_cast<rt::TimeNs>(t.tv_sec) * rt::kNsPerSecond + t.tv_nsec;
-}
-
-/// What to add to a time of that clock: read between two looks at ours, the narrowest of a few.
-rt::TimeNs offset_of(clockid_t id) {
-  rt::TimeNs best = 0, width = rt::kNsPerSecond;
-  for (int i = 0; i < 5; ++i) {
-    const rt::TimeNs before = clock_ns(CLOCK_MONOTONIC), other = clock_ns(id), after = clock_ns(CLOCK_MONOTONIC);
-    if (after - before >= width) continue;
-    width = after - before;
-    best = before + width / 2 - other;
-  }
-  return best;
-}
-
 class LinuxVideo final : public VideoSystem {
  public:
-  LinuxVideo(std::string sys, std::string dev) : sys_(std::move(sys)), dev_(std::move(dev)) {}
+  LinuxVideo(std::string sys, std::string dev)
+      : clocks_(linux_clocks(sys)), sys_(std::move(sys)), dev_(std::move(dev)) {}
 
   int open(const char* path) override { return ::open(path, O_RDWR | O_NONBLOCK | O_CLOEXEC); }
   void close(int descriptor) override { ::close(descriptor); }
@@ -81,22 +62,9 @@ class LinuxVideo final : public VideoSystem {
     if ((p.revents & POLLIN) != 0) return Wait::kReady;
     return Wait::kGone;
   }
-  rt::TimeNs now_ns() override { return rt::monotonic_now_ns(); }
-
-  ClockOffsets clock_offsets() override {
-    ClockOffsets out;
-    read_clocks(&out);
-    const std::string text = first_line(fs::path(sys_) / "devices/system/clocksource/clocksource0/offset_ns");
-    char* end = nullptr;
-    const long long counter = std::strtoll(text.c_str(), &end, 10);
-    if (end != text.c_str()) out.counter_ns = counter;
-    return out;
-  }
-
-  void read_clocks(ClockOffsets* offsets) override {
-    offsets->boottime_ns = offset_of(CLOCK_BOOTTIME);
-    offsets->realtime_ns = offset_of(CLOCK_REALTIME);
-  }
+  rt::TimeNs now_ns() override { return clocks_->now_ns(); }
+  ClockOffsets clock_offsets() override { return clocks_->clock_offsets(); }
+  void read_clocks(ClockOffsets* offsets) override { clocks_->read_clocks(offsets); }
 
   std::vector<VideoNode> nodes() override {
     std::vector<VideoNode> out;
@@ -127,6 +95,7 @@ class LinuxVideo final : public VideoSystem {
   }
 
  private:
+  const std::unique_ptr<MachineClocks> clocks_;
   const std::string sys_, dev_;
 };
 

@@ -3,7 +3,7 @@
 
 #include <memory>
 
-#include "hal/camera/device_camera.h"
+#include "hal/camera/device/device_camera.h"
 #include "hal/camera/v4l2/v4l2_stream.h"
 
 namespace godwit::hal {

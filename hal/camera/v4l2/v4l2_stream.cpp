@@ -99,7 +99,8 @@ rt::Result<void> V4l2Stream::choose_format(const V4l2Settings& settings) {
   if (f.fmt.pix.field != V4L2_FIELD_NONE && f.fmt.pix.field != V4L2_FIELD_ANY) {
     return rt::Error{path_ + ": gives interlaced pictures, which are two moments in one"};
   }
-  const int least = row_bytes(format_, settings.width);
+  width_ = settings.width;
+  const int least = row_bytes(format_, width_);
   stride_ = static_cast<int>(f.fmt.pix.bytesperline);
   if (stride_ == 0) stride_ = least;  // old drivers leave it out where there is no padding
   if (format_ != PixelFormat::kMjpeg && (stride_ < least || stride_ > 16 * least)) {

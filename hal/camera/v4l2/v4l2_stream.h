@@ -9,8 +9,9 @@
 #include <utility>
 #include <vector>
 
-#include "hal/camera/picture_stream.h"
+#include "hal/camera/device/picture_stream.h"
 #include "hal/camera/v4l2/v4l2_controls.h"
+#include "hal/camera/v4l2/v4l2_exposure.h"
 #include "hal/camera/v4l2/video_system.h"
 #include "hal/rt/result.h"
 
@@ -43,8 +44,9 @@ class V4l2Stream final : public PictureStream {
   PixelFormat format() const override { return format_; }
   int stride() const override { return stride_; }
   double fps() const { return fps_; }  ///< the device's word; 0: it says nothing
-  /// Of the open device; asking and setting may block.
-  const V4l2Controls* controls() const override { return &*controls_; }
+  std::unique_ptr<ExposureDevice> exposure(const ExposurePlan& plan, std::vector<std::string>* notes) override {
+    return std::make_unique<V4l2Exposure>(*controls_, plan, width_, notes);
+  }
   const std::vector<std::string>& notes() const override { return notes_; }
   const std::string& path() const { return path_; }
 
@@ -67,7 +69,7 @@ class V4l2Stream final : public PictureStream {
   int fd_ = -1;
   bool streaming_ = false;
   PixelFormat format_ = PixelFormat::kGrey;
-  int stride_ = 0;
+  int width_ = 0, stride_ = 0;
   double fps_ = 0;
   std::array<Mapping, kBuffers> buffers_{};
   std::uint32_t count_ = 0;

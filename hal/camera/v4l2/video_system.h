@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "hal/camera/machine_clocks.h"
+#include "hal/camera/device/machine_clocks.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {

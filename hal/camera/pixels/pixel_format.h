@@ -1,4 +1,4 @@
-// The pictures that V4L2 devices give, and how they become grey and BGR.
+// The pictures that devices give, and how they become grey and BGR.
 #pragma once
 
 #include <cstddef>

@@ -2,11 +2,11 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
+#include <memory>
 #include <optional>
-#include <string>
-#include <vector>
 
-#include "hal/camera/v4l2/exposure_device.h"
+#include "hal/camera/device/exposure_device.h"
 #include "hal/rt/spsc_ring.h"
 
 namespace godwit::hal {
@@ -23,9 +23,8 @@ class ExposureKeeper {
   /// How fast the camera turns [rad/s]. Any thread; no lock.
   void turning(double rate_rad_s);
 
-  /// A device was opened: takes hold of its controls and goes on from what the last one was set to. Returns what cannot
-  /// be done, in words. controls live until end().
-  std::vector<std::string> begin(const V4l2Controls* controls, int width);
+  /// A device was opened: sets it and goes on from what the last one was set to. Valid until end().
+  void begin(std::unique_ptr<ExposureDevice> device);
   void end() { device_.reset(); }
   /// Looks at the pictures seen since the last call and sets what must change. One that was taken before the last
   /// setting and lay in a driver's buffer since says nothing of it. True: something was set.
@@ -53,7 +52,7 @@ class ExposureKeeper {
   rt::SpscRing<Seen, 16> seen_;
   std::atomic<float> turn_rad_s_{kNoRate};  ///< the largest since the keeper's last look; a number alone
   std::atomic<std::uint64_t> steered_{0};   ///< a number alone
-  std::optional<ExposureDevice> device_;
+  std::unique_ptr<ExposureDevice> device_;
   std::optional<ExposureControl> control_;
   Exposure now_;
   bool set_before_ = false;

@@ -1,4 +1,4 @@
-#include "hal/camera/device_camera.h"
+#include "hal/camera/device/device_camera.h"
 
 #include <algorithm>
 #include <utility>
@@ -44,13 +44,11 @@ bool DeviceCamera::try_open() {
   trouble_ = std::move(trouble);
   if (!opened) return false;
   live_ = std::move(opened).value();
-  const PictureStream& s = *live_;
+  PictureStream& s = *live_;
   // Whether the thread of next() may be real-time was decided by the first format.
   settings_.format = s.format();
   std::vector<std::string> notes = s.notes();
-  if (s.controls() != nullptr) {
-    for (std::string& note : exposure_.begin(s.controls(), settings_.width)) notes.push_back(std::move(note));
-  }
+  if (auto exposure = s.exposure(settings_.exposure, &notes)) exposure_.begin(std::move(exposure));
   for (const std::string& note : notes) {
     if (tell_) tell_(note);
   }

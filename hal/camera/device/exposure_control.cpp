@@ -1,4 +1,4 @@
-#include "hal/camera/exposure_control.h"
+#include "hal/camera/device/exposure_control.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,7 +1,9 @@
 // The machine's clocks as a camera needs them, so that tests can play them.
 #pragma once
 
+#include <memory>
 #include <optional>
+#include <string>
 
 #include "hal/rt/time.h"
 
@@ -24,5 +26,8 @@ class MachineClocks {
   /// BOOTTIME and REALTIME alone. No allocation, no file; does not block.
   virtual void read_clocks(ClockOffsets* offsets) = 0;
 };
+
+/// The kernel's. sys: where sysfs is mounted.
+std::unique_ptr<MachineClocks> linux_clocks(const std::string& sys = "/sys");
 
 }  // namespace godwit::hal

@@ -7,11 +7,11 @@
 #include <string>
 
 #include "hal/camera/camera.h"
-#include "hal/camera/machine_clocks.h"
-#include "hal/camera/picture_stream.h"
-#include "hal/camera/v4l2/device_clock.h"
-#include "hal/camera/v4l2/exposure_keeper.h"
-#include "hal/camera/v4l2/jpeg_decoder.h"
+#include "hal/camera/device/device_clock.h"
+#include "hal/camera/device/exposure_keeper.h"
+#include "hal/camera/device/machine_clocks.h"
+#include "hal/camera/device/picture_stream.h"
+#include "hal/camera/pixels/jpeg_decoder.h"
 #include "hal/rt/log_ring.h"
 #include "hal/rt/result.h"
 #include "hal/rt/thread.h"

@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/pixel_format.h"
+#include "hal/camera/pixels/pixel_format.h"
 
 #include <algorithm>
 #include <array>
@@ -6,8 +6,8 @@
 #include <cstring>
 #include <linux/videodev2.h>
 
-#include "hal/camera/v4l2/rgb_rows.h"
-#include "hal/camera/v4l2/yuv_rows.h"
+#include "hal/camera/pixels/rgb_rows.h"
+#include "hal/camera/pixels/yuv_rows.h"
 
 namespace godwit::hal {
 namespace {

@@ -1,7 +1,8 @@
-#include "hal/camera/v4l2/exposure_keeper.h"
+#include "hal/camera/device/exposure_keeper.h"
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace godwit::hal {
 namespace {
@@ -34,11 +35,10 @@ double ExposureKeeper::turn_rate(rt::TimeNs now_ns) {
   return rate_rad_s_;
 }
 
-std::vector<std::string> ExposureKeeper::begin(const V4l2Controls* controls, int width) {
-  std::vector<std::string> notes;
-  device_.emplace(*controls, plan_, width, &notes);
+void ExposureKeeper::begin(std::unique_ptr<ExposureDevice> device) {
+  device_ = std::move(device);
   if (!set_before_) now_ = {device_->exposure_ns().value_or(kFirstExposureNs), device_->gain().value_or(1)};
-  if (plan_.mode == ExposureMode::kOff) return notes;
+  if (plan_.mode == ExposureMode::kOff) return;
   Exposure wanted = now_;
   if (plan_.mode == ExposureMode::kFixed) {
     wanted = plan_.fixed;
@@ -46,7 +46,7 @@ std::vector<std::string> ExposureKeeper::begin(const V4l2Controls* controls, int
   }
   now_ = device_->apply(wanted, now_);
   set_before_ = true;
-  if (plan_.mode == ExposureMode::kFixed) return notes;
+  if (plan_.mode == ExposureMode::kFixed) return;
   ExposureSettings limits = plan_.automatic;
   if (device_->has_exposure()) {
     limits.least_ns = std::max(limits.least_ns, device_->least_ns());
@@ -60,7 +60,6 @@ std::vector<std::string> ExposureKeeper::begin(const V4l2Controls* controls, int
   Seen stale;
   while (seen_.try_pop(&stale)) {
   }
-  return notes;
 }
 
 bool ExposureKeeper::steer(rt::TimeNs now_ns) {

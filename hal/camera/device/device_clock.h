@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "hal/camera/machine_clocks.h"
+#include "hal/camera/device/machine_clocks.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {

@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/yuv_rows.h"
+#include "hal/camera/pixels/yuv_rows.h"
 
 #include <algorithm>
 #include <array>

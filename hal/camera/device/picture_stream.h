@@ -3,12 +3,13 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "hal/camera/v4l2/exposure_device.h"
-#include "hal/camera/v4l2/pixel_format.h"
+#include "hal/camera/device/exposure_device.h"
+#include "hal/camera/pixels/pixel_format.h"
 #include "hal/rt/time.h"
 
 namespace godwit::hal {
@@ -64,8 +65,11 @@ class PictureStream {
   virtual void keep() {}
   virtual PixelFormat format() const = 0;
   virtual int stride() const = 0;
-  /// By which exposure and gain are set under way; null: it has none.
-  virtual const V4l2Controls* controls() const { return nullptr; }
+  /// By which exposure and gain are set as the plan says; lives no longer than the stream. What cannot be done is told
+  /// in notes, in words. Null: they are not set under way.
+  virtual std::unique_ptr<ExposureDevice> exposure(const ExposurePlan& /*plan*/, std::vector<std::string>* /*notes*/) {
+    return nullptr;
+  }
   /// What is odd but no reason not to fly, in words.
   virtual const std::vector<std::string>& notes() const = 0;
 };

@@ -1,4 +1,4 @@
-#include "hal/camera/fed_camera.h"
+#include "hal/camera/device/fed_camera.h"
 
 #include <cstring>
 

@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/jpeg_decoder.h"
+#include "hal/camera/pixels/jpeg_decoder.h"
 
 #include <csetjmp>
 #include <cstdio>

@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/exposure_device.h"
+#include "hal/camera/v4l2/v4l2_exposure.h"
 
 #include <algorithm>
 #include <cmath>
@@ -24,15 +24,15 @@ rt::TimeNs line_ns(const V4l2Controls& controls, int width) {
 
 }  // namespace
 
-ExposureDevice::ExposureDevice(const V4l2Controls& controls, const ExposurePlan& plan, int width,
-                               std::vector<std::string>* notes)
+V4l2Exposure::V4l2Exposure(const V4l2Controls& controls, const ExposurePlan& plan, int width,
+                           std::vector<std::string>* notes)
     : controls_(controls) {
   find_exposure(plan, width, notes);
   find_gain(plan, notes);
   if (plan.mode != ExposureMode::kOff) take_over(notes);
 }
 
-void ExposureDevice::take_over(std::vector<std::string>* notes) const {
+void V4l2Exposure::take_over(std::vector<std::string>* notes) const {
   for (const auto& [id, value, what] : {std::tuple{V4L2_CID_EXPOSURE_AUTO, +V4L2_EXPOSURE_MANUAL, "exposure"},
                                         {V4L2_CID_EXPOSURE_AUTO_PRIORITY, 0, "frame rate"},
                                         {V4L2_CID_AUTOGAIN, 0, "gain"}}) {
@@ -48,7 +48,7 @@ void ExposureDevice::take_over(std::vector<std::string>* notes) const {
   }
 }
 
-void ExposureDevice::find_exposure(const ExposurePlan& plan, int width, std::vector<std::string>* notes) {
+void V4l2Exposure::find_exposure(const ExposurePlan& plan, int width, std::vector<std::string>* notes) {
   if (!plan.exposure_control.empty()) {
     const auto named = controls_.find(plan.exposure_control);
     if (!named) return notes->push_back(named.error().message);
@@ -70,7 +70,7 @@ void ExposureDevice::find_exposure(const ExposurePlan& plan, int width, std::vec
                    "line); camera.exposure_unit_us is needed");
 }
 
-void ExposureDevice::find_gain(const ExposurePlan& plan, std::vector<std::string>* notes) {
+void V4l2Exposure::find_gain(const ExposurePlan& plan, std::vector<std::string>* notes) {
   if (!plan.gain_control.empty()) {
     const auto named = controls_.find(plan.gain_control);
     if (!named) return notes->push_back(named.error().message);
@@ -85,31 +85,31 @@ void ExposureDevice::find_gain(const ExposurePlan& plan, std::vector<std::string
   gain_one_ = plan.gain_one > 0 || gain_step_db_ > 0 ? plan.gain_one : std::max(1.0, static_cast<double>(gain_->low));
 }
 
-double ExposureDevice::gain_of(std::int64_t value) const {
+double V4l2Exposure::gain_of(std::int64_t value) const {
   const auto v = static_cast<double>(value);
   return gain_step_db_ > 0 ? std::pow(10.0, (v - gain_one_) * gain_step_db_ / 20) : v / gain_one_;
 }
 
-std::int64_t ExposureDevice::value_of(double gain) const {
+std::int64_t V4l2Exposure::value_of(double gain) const {
   const double value = gain_step_db_ > 0 ? gain_one_ + 20 * std::log10(gain) / gain_step_db_ : gain * gain_one_;
   return std::clamp(static_cast<std::int64_t>(std::lround(value)), gain_->low, gain_->high);
 }
 
-std::optional<rt::TimeNs> ExposureDevice::exposure_ns() const {
+std::optional<rt::TimeNs> V4l2Exposure::exposure_ns() const {
   if (!has_exposure()) return std::nullopt;
   const auto value = controls_.get(*exposure_);
   if (!value || *value <= 0) return std::nullopt;
   return *value * unit_ns_;
 }
 
-std::optional<double> ExposureDevice::gain() const {
+std::optional<double> V4l2Exposure::gain() const {
   if (!gain_) return std::nullopt;
   const auto value = controls_.get(*gain_);
   if (!value) return std::nullopt;
   return std::max(gain_of(*value), 1e-3);
 }
 
-Exposure ExposureDevice::apply(const Exposure& wanted, const Exposure& now) const {
+Exposure V4l2Exposure::apply(const Exposure& wanted, const Exposure& now) const {
   Exposure out = now;
   double light = static_cast<double>(wanted.exposure_ns) * wanted.gain;
   if (has_exposure()) {

@@ -1,4 +1,4 @@
-#include "hal/camera/v4l2/rgb_rows.h"
+#include "hal/camera/pixels/rgb_rows.h"
 
 #include <cstddef>
 #include <cstring>
