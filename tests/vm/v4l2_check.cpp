@@ -12,14 +12,17 @@
 #include <vector>
 
 #include "hal/camera/v4l2/v4l2_camera.h"
+#include "tests/vm/camera_watch.h"
 #include "tests/vm/check.h"
 
 namespace {
 using namespace godwit;
 using namespace godwit::hal;
+using godwit::vm::CameraWatch;
 using godwit::vm::check;
 using godwit::vm::failures;
 using godwit::vm::run;
+using godwit::vm::Seen;
 
 /// A driver that stamps in a clock which is `shift` ahead, as a Tegra's counter is.
 class ShiftedClock final : public VideoSystem {
@@ -56,73 +59,13 @@ class ShiftedClock final : public VideoSystem {
   const bool known_;
 };
 
-struct Seen {
-  int frames = 0, bad = 0;
-  int not_later = 0;            ///< capture times that did not advance
-  rt::TimeNs oldest = 0;        ///< from capture to delivery
-  double mean_interval_ms = 0;  ///< of capture times
-  int values = 0;               ///< different grey values in the last picture
-  std::string why;
-};
-
-class Watch {
- public:
-  Watch(std::unique_ptr<VideoSystem> system, const V4l2Settings& settings) : settings_(settings) {
-    auto opened = V4l2Camera::open(std::move(system), settings, [](const std::string& text) {
-      if (!text.empty()) std::printf("      | %s\n", text.c_str());
-    });
-    if (check(opened.ok(), "the camera's thread starts")) camera = std::move(opened).value();
-    grey_.resize(static_cast<std::size_t>(settings.width * settings.height));
-    bgr_.resize(grey_.size() * 3);
-  }
-
-  /// Takes so many pictures, or as many as come in the time.
-  Seen take(int frames, rt::TimeNs most_ns) {
-    Seen out;
-    std::string why;
-    const rt::TimeNs end = rt::monotonic_now_ns() + most_ns;
-    rt::TimeNs first = 0, last = 0;
-    while (out.frames < frames && rt::monotonic_now_ns() < end) {
-      CapturedFrame f;
-      const auto status = camera->next({grey_.data(), settings_.width, settings_.height, settings_.width},
-                                       colour ? bgr_.data() : nullptr, 100 * rt::kNsPerMs, &f, &why);
-      if (status == CameraStatus::kBadFrame) {
-        ++out.bad;
-        out.why = why;
-      }
-      if (status != CameraStatus::kFrame) continue;
-      const rt::TimeNs age = rt::monotonic_now_ns() - f.t_capture_ns;
-      out.oldest = std::max(out.oldest, age);
-      if (last != 0 && f.t_capture_ns <= last) ++out.not_later;
-      if (first == 0) first = f.t_capture_ns;
-      last = f.t_capture_ns;
-      ++out.frames;
-    }
-    if (out.frames > 1) out.mean_interval_ms = rt::to_ms(last - first) / (out.frames - 1);
-    bool seen[256] = {};
-    for (const std::uint8_t v : grey_) seen[v] = true;
-    for (const bool s : seen) out.values += s ? 1 : 0;
-    return out;
-  }
-
-  double mean() const {
-    return measure_brightness({grey_.data(), settings_.width, settings_.height, settings_.width}).mean;
-  }
-
-  std::unique_ptr<V4l2Camera> camera;
-  bool colour = false;  ///< converted, too: slow under emulation
-
- private:
-  V4l2Settings settings_;
-  std::vector<std::uint8_t> grey_, bgr_;
-};
-
-std::string text(const Seen& s, const DeviceCounters& c) {
-  char out[240];
-  std::snprintf(out, sizeof out, "%d frames every %.1f ms, %d bad%s%s, %llu lost, oldest %.0f ms, %d grey values",
-                s.frames, s.mean_interval_ms, s.bad, s.why.empty() ? "" : ": ", s.why.c_str(),
-                static_cast<unsigned long long>(c.lost), rt::to_ms(s.oldest), s.values);
-  return out;
+/// Opens the device and watches it. By way of system, which a check may have made lie.
+CameraWatch watch(const V4l2Settings& settings, std::unique_ptr<VideoSystem> system = linux_video_system()) {
+  return {settings, false, [&](DeviceCamera::Tell tell) -> rt::Result<std::unique_ptr<DeviceCamera>> {
+            auto opened = V4l2Camera::open(std::move(system), settings, std::move(tell));
+            if (!opened) return opened.error();
+            return std::unique_ptr<DeviceCamera>(std::move(opened).value());
+          }};
 }
 
 void formats(V4l2Settings settings, int frames) {
@@ -132,30 +75,28 @@ void formats(V4l2Settings settings, int frames) {
       settings.width = width;
       settings.height = height;
       settings.format = format;
-      Watch w(linux_video_system(), settings);
+      CameraWatch w = watch(settings);
       const Seen s = w.take(frames, 120 * rt::kNsPerSecond);
       // Emulated: pictures may be late and lost, but what comes is whole, in order and dated within the time it took.
       check(s.frames == frames && s.bad == 0 && s.not_later == 0 && s.oldest < rt::kNsPerSecond && s.values >= 6 &&
                 w.camera->clock().source() == DeviceClock::Source::kMonotonic,
-            std::string(name(format)) + " " + std::to_string(width) + "x" + std::to_string(height) + ": " +
-                text(s, w.camera->counters()));
+            std::string(name(format)) + " " + std::to_string(width) + "x" + std::to_string(height) + ": " + w.text(s));
     }
   }
 }
 
 void shifted_clock(const V4l2Settings& settings) {
   for (const bool known : {true, false}) {
-    Watch w(std::make_unique<ShiftedClock>(29 * rt::kNsPerSecond, known), settings);
+    CameraWatch w = watch(settings, std::make_unique<ShiftedClock>(29 * rt::kNsPerSecond, known));
     const Seen s = w.take(60, 60 * rt::kNsPerSecond);
     check(s.frames == 60 && s.oldest >= -5 * rt::kNsPerMs && s.oldest < rt::kNsPerSecond &&
               w.camera->clock().source() == (known ? DeviceClock::Source::kCounter : DeviceClock::Source::kMeasured),
-          std::string("a clock 29 s ahead is ") + (known ? "read by its offset: " : "measured: ") +
-              text(s, w.camera->counters()));
+          std::string("a clock 29 s ahead is ") + (known ? "read by its offset: " : "measured: ") + w.text(s));
   }
 }
 
 void injected(const V4l2Settings& settings, const std::string& ctl) {
-  Watch w(linux_video_system(), settings);
+  CameraWatch w = watch(settings);
   w.take(10, 20 * rt::kNsPerSecond);
   run(ctl + "inject_v4l2_buf_flag_error=1");
   Seen s = w.take(20, 20 * rt::kNsPerSecond);
@@ -164,11 +105,11 @@ void injected(const V4l2Settings& settings, const std::string& ctl) {
   run(ctl + "percentage_of_dropped_buffers=50");
   s = w.take(20, 20 * rt::kNsPerSecond);
   run(ctl + "percentage_of_dropped_buffers=0");
-  check(w.camera->counters().lost > 0, "dropped buffers: " + text(s, w.camera->counters()));
+  check(w.camera->counters().lost > 0, "dropped buffers: " + w.text(s));
   run(ctl + "inject_fatal_streaming_error=1");
   s = w.take(20, 30 * rt::kNsPerSecond);
   check(w.camera->counters().gone == 1 && w.camera->counters().back == 1 && s.frames == 20,
-        "a fatal error: the stream comes back: " + text(s, w.camera->counters()));
+        "a fatal error: the stream comes back: " + w.text(s));
   run(ctl + "inject_vidioc_streamon_error=1");
   run(ctl + "inject_fatal_streaming_error=1");
   s = w.take(20, 30 * rt::kNsPerSecond);
@@ -178,10 +119,10 @@ void injected(const V4l2Settings& settings, const std::string& ctl) {
 /// vivid stamps the end of a frame before it is there, most of a frame ahead: a clock that cannot be ours.
 void future_stamps(V4l2Settings settings) {
   settings.controls = {{"timestamp_source", 0}};
-  Watch w(linux_video_system(), settings);
+  CameraWatch w = watch(settings);
   const Seen s = w.take(60, 60 * rt::kNsPerSecond);
   check(s.frames == 60 && w.camera->clock().source() == DeviceClock::Source::kMeasured,
-        "stamps of the future are measured anew: " + text(s, w.camera->counters()));
+        "stamps of the future are measured anew: " + w.text(s));
 }
 
 /// vivid has no exposure, but a brightness that its pictures follow; its gain is a number alone. In YUYV, where it cuts
@@ -197,7 +138,7 @@ void automatic_exposure(V4l2Settings settings, const std::string& ctl) {
   settings.exposure.automatic.most_gain = 1;
   char text[120];
   {
-    Watch w(linux_video_system(), settings);
+    CameraWatch w = watch(settings);
     for (const char* const scene : {"contrast=128", "contrast=80", "contrast=140"}) {
       run(ctl + scene);
       // Emulated, pictures wait in the driver's buffers longer than a sensor's controls are late: it may swing at
@@ -222,20 +163,20 @@ void automatic_exposure(V4l2Settings settings, const std::string& ctl) {
   }
   settings.exposure.mode = ExposureMode::kFixed;
   settings.exposure.fixed = {20 * rt::kNsPerMs, 1};
-  Watch fixed(linux_video_system(), settings);
+  CameraWatch fixed = watch(settings);
   fixed.take(5, 20 * rt::kNsPerSecond);
   run("test $(" + ctl.substr(0, ctl.size() - 3) + "-C brightness | tr -dc 0-9) = 200");
   run(ctl + "brightness=128");
 }
 
 void unplugged(const V4l2Settings& settings, const std::string& ctl) {
-  Watch w(linux_video_system(), settings);
+  CameraWatch w = watch(settings);
   w.take(10, 20 * rt::kNsPerSecond);
   // vivid comes back by itself when the last program has let go of it.
   run(ctl + "disconnect=1");
   Seen s = w.take(20, 30 * rt::kNsPerSecond);
   check(s.frames == 20 && w.camera->counters().gone == 1 && w.camera->counters().back == 1,
-        "disconnected under way, it comes back: " + text(s, w.camera->counters()));
+        "disconnected under way, it comes back: " + w.text(s));
   run("echo vivid.0 > /sys/bus/platform/drivers/vivid/unbind");
   s = w.take(1000, 2 * rt::kNsPerSecond);
   check(!w.camera->streaming() && w.camera->counters().gone == 2, "a device that is unplugged is gone");
@@ -248,7 +189,7 @@ void unplugged(const V4l2Settings& settings, const std::string& ctl) {
   check(s.frames == 1 && w.camera->counters().back == 2, "plugged in again it is back");
   std::printf("      first picture %.2f s after it was plugged in\n", took_s);
   s = w.take(30, 30 * rt::kNsPerSecond);
-  check(s.frames == 30 && s.not_later == 0, text(s, w.camera->counters()));
+  check(s.frames == 30 && s.not_later == 0, w.text(s));
 }
 
 }  // namespace
