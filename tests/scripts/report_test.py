@@ -1,0 +1,325 @@
+"""scripts/godwit-report: the figures in its page are those of summary.json, every picture is in it and can be decoded, a
+browser opens it without a word, and what is no whole run is refused with one that says why.
+
+  report_test.py GODWIT [unittest's arguments]
+"""
+import base64
+import html.parser
+import io
+import json
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+
+from PIL import Image
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+REPORT = ROOT / 'scripts' / 'godwit-report'
+GODWIT = pathlib.Path(sys.argv[1]).resolve()
+BROWSER = 'chromium-headless-shell'
+# The street is flown from its 70th picture on, where it moves, with and without threads.
+FLIGHTS = {
+    'alone': ['--sequential', '--start', '70', '--frames', '80', '--view-every', '20', '--gate', 'on'],
+    'threads': ['--start', '70', '--frames', '60'],
+    'metric': ['--sequential', '--frames', '130', '--imu', 'on'],
+}
+
+
+class Page(html.parser.HTMLParser):
+    """What a page shows: figures by run and key, as exact value and text; pictures; anything it would load."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.figures, self.exact, self.images, self.loaded, self.open = {}, {}, [], [], None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        a = dict(attributes)
+        if tag == 'img':
+            self.images.append(a)
+        self.loaded += [a[k] for k in ('src', 'href') if k in a and not a[k].startswith(('data:', '#'))]
+        if tag == 'script':
+            self.loaded.append('script')
+        self.open = None
+        if 'data-key' in a:
+            self.open = (int(a['data-run']), a['data-key'])
+            self.figures[self.open] = [json.loads(a['data-value']), '']
+        elif 'data-all' in a:
+            self.exact[int(a['data-run']), a['data-all']] = json.loads(a['data-value'])
+
+    def handle_data(self, data):
+        if self.open:
+            self.figures[self.open][1] += data
+
+    def handle_endtag(self, tag):
+        self.open = None
+
+
+def report(*arguments):
+    return subprocess.run([str(REPORT), *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+def at(summary, key):
+    for part in key.split('.'):
+        summary = summary.get(part) if isinstance(summary, dict) else None
+    return summary
+
+
+def leaves(value, key=''):
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
+    if items is None:
+        yield key, value
+        return
+    for k, v in items:
+        if key or k != 'events':
+            yield from leaves(v, f'{key}.{k}' if key else str(k))
+
+
+class Report(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.temp = tempfile.TemporaryDirectory()
+        cls.folder = pathlib.Path(cls.temp.name)
+        for name, options in FLIGHTS.items():
+            view = ['--view', str(cls.folder / name / 'view')] if '--view-every' in options else []
+            subprocess.run([str(GODWIT), 'fly', 'street', '--out', str(cls.folder / name), *options, *view], check=True,
+                           stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        done = report(*(cls.folder / name for name in FLIGHTS), '--out', cls.folder / 'page')
+        assert done.returncode == 0, done.stderr
+        cls.told = done.stdout
+        cls.page = Page((cls.folder / 'page' / 'report.html').read_text())
+        cls.summaries = [json.loads((cls.folder / name / 'summary.json').read_text()) for name in FLIGHTS]
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.temp.cleanup()
+
+    def test_tells_where_the_page_is(self):
+        self.assertEqual(self.told, f'3 runs: {self.folder}/page/report.html\n')
+
+    def test_figures_are_those_of_summary(self):
+        compared = 0
+        for (n, key), (value, text) in self.page.figures.items():
+            if key.startswith('judged.'):
+                continue
+            self.assertEqual(value, at(self.summaries[n], key), (n, key))
+            if value is None:
+                self.assertEqual(text, '–')
+                continue
+            shown = float(re.match(r'-?[0-9.]+(e-?[0-9]+)?', text.replace('\u202f', '')).group())
+            shown = shown / 100 if text.endswith(' %') else shown
+            self.assertAlmostEqual(shown, value, delta=max(0.006 * abs(value), 0.00006), msg=(key, text))
+            compared += 1
+        self.assertGreater(compared, 60)
+        self.assertIn((1, 'age_ms.p99'), self.page.figures)
+        self.assertIn((1, 'scheduler.late'), self.page.figures)
+
+    def test_all_of_summary_is_there(self):
+        for n, summary in enumerate(self.summaries):
+            wanted = dict(leaves(summary))
+            self.assertEqual({k: v for (run, k), v in self.page.exact.items() if run == n}, wanted)
+
+    def test_errors_are_those_of_evaluate(self):
+        for n, name in enumerate(FLIGHTS):
+            run = self.folder / name
+            for extra, prefix in (([], 'judged.'), (['--metric'], 'judged.metric_')):
+                if name != 'metric' and extra:
+                    continue
+                told = subprocess.run([str(ROOT / 'scripts/evaluate'), str(run / 'groundtruth.txt'), str(run), '--json', *extra],
+                                      capture_output=True, text=True, check=True)
+                told = json.loads(told.stdout)
+                shared = [k for k in told if (n, prefix + k) in self.page.figures]
+                self.assertGreater(len(shared), 3)
+                for key in shared:
+                    self.assertAlmostEqual(self.page.figures[n, prefix + key][0], told[key], places=9, msg=key)
+        self.assertEqual(self.page.figures[0, 'judged.false_sure'][0], 0)
+
+    def test_needs_no_other_file_and_every_picture_decodes(self):
+        self.assertEqual(self.page.loaded, [])
+        self.assertGreaterEqual(len(self.page.images), 3 + 4 + 3)  # ways, curves, views
+        for a in self.page.images:
+            head, _, code = a['src'].partition(',')
+            self.assertIn(head, ('data:image/png;base64', 'data:image/jpeg;base64'))
+            with Image.open(io.BytesIO(base64.b64decode(code, validate=True))) as picture:
+                picture.load()
+                self.assertGreater(picture.width, 300)
+            self.assertTrue(a['alt'])
+
+    def test_pictures_lie_beside_the_page(self):
+        names = {p.name for p in (self.folder / 'page').glob('*.png')}
+        self.assertEqual(names, {'trajectory-1.png', 'trajectory-2.png', 'trajectory-3.png', 'rpe.png', 'scale.png',
+                                 'consistency.png', 'timeline.png', 'latency.png'})
+
+    def test_a_browser_shows_it_all(self):
+        if not shutil.which(BROWSER):
+            if os.environ.get('CI') == 'true':
+                self.fail(f'{BROWSER} is not there: scripts/setup installs it')
+            self.skipTest(f'{BROWSER} is not there (scripts/setup): the page was not opened')
+        # The page itself has no script: a copy gets one that tells what was shown.
+        text = (self.folder / 'page' / 'report.html').read_text()
+        count = '''<script>addEventListener('load', () => {
+  const all = [...document.images];
+  document.body.dataset.shown = all.filter(i => i.complete && i.naturalWidth > 0).length + ' of ' + all.length;
+  document.body.dataset.wide = document.documentElement.scrollWidth <= innerWidth;
+});</script></body>'''
+        copy = self.folder / 'copy.html'
+        copy.write_text(text.replace('</body>', count))
+        done = self.browse(copy)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        n = len(self.page.images)
+        self.assertIn(f'data-shown="{n} of {n}"', done.stdout[-400:] + done.stdout[:6000])
+        self.assertIn('data-wide="true"', done.stdout)
+        self.assertEqual([line for line in done.stderr.splitlines() if 'CONSOLE' in line], [])
+
+    def browse(self, file):
+        # The browser itself has been seen to hang on a loaded machine: that says nothing of the page.
+        for turn in range(4):
+            try:
+                return subprocess.run([BROWSER, '--no-sandbox', '--disable-gpu', '--enable-logging=stderr', '--window-size=1200,900',
+                                       '--disable-background-networking', '--disable-component-update', '--disable-dev-shm-usage',
+                                       '--no-first-run', f'--user-data-dir={self.folder}/browser{turn}', '--dump-dom', f'file://{file}'],
+                                      capture_output=True, text=True, timeout=60, check=False)
+            except subprocess.TimeoutExpired:
+                print(f'{BROWSER} hung and was ended', flush=True)
+        self.fail(f'{BROWSER} hung four times')
+
+    def test_without_a_truth_nothing_is_said_of_errors(self):
+        run = self.folder / 'untrue'
+        shutil.copytree(self.folder / 'alone', run)
+        (run / 'groundtruth.txt').unlink()
+        done = report(run)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        page = Page((run / 'report' / 'report.html').read_text())
+        self.assertEqual(page.figures[0, 'judged.false_sure'], [None, '–'])
+        self.assertEqual(page.figures[0, 'tracked'][0], self.summaries[0]['tracked'])
+
+    def test_wrong_frames_come_first(self):
+        run = self.folder / 'wrong'
+        shutil.copytree(self.folder / 'alone', run, ignore=shutil.ignore_patterns('view'))
+        lines = (run / 'trajectory.tum').read_text().splitlines()
+        for i in (-1, -2):
+            row = lines[i].split()
+            row[3] = str(float(row[3]) + 40)
+            lines[i] = ' '.join(row)
+        (run / 'trajectory.tum').write_text('\n'.join(lines) + '\n')
+        done = report(run)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        text = (run / 'report' / 'report.html').read_text()
+        self.assertGreaterEqual(Page(text).figures[0, 'judged.false_sure'][0], 2)
+        self.assertLess(text.index('off by'), text.index('The way flown'))
+
+    def test_a_run_without_one_tracked_frame(self):
+        run = self.folder / 'blind'
+        subprocess.run([str(GODWIT), 'fly', 'street', '--sequential', '--frames', '3', '--out', str(run)], check=True,
+                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        done = report(run)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(Page((run / 'report' / 'report.html').read_text()).figures[0, 'tracked'], [0, '0'])
+
+
+class Refused(unittest.TestCase):
+    """Folders that hold no whole run: exit code 2, and a word that says what is wrong."""
+
+    def setUp(self):
+        self.temp = tempfile.TemporaryDirectory()
+        self.run = pathlib.Path(self.temp.name) / 'run'
+        self.run.mkdir()
+        summary = {'version': '1', 'sequence': 's', 'mode': 'sequential', 'pace': 'max', 'frames': 1, 'processed': 1,
+                   'tracked': 0, 'tracked_share': 0, 'maps': 0, 'ms': {}}
+        self.files = {'summary.json': json.dumps(summary), 'trajectory.tum': '', 'pose.csv': 't,state\n',
+                      'frames.csv': 't,ms,tracked,map_id,state,features,fate,reason\n0.0,1.0,0,,INITIALISING,0,processed,\n'}
+
+    def tearDown(self):
+        self.temp.cleanup()
+
+    def refused(self, words, *more, **files):
+        for name, text in (self.files | {k.replace('_', '.', 1): v for k, v in files.items()}).items():
+            if text is not None:
+                (self.run / name).write_text(text)
+        self.told(words, self.run, *more)
+
+    def told(self, words, *arguments):
+        done = report(*arguments)
+        self.assertEqual(done.returncode, 2, done.stderr)
+        self.assertEqual(done.stdout, '')
+        self.assertEqual(len(done.stderr.splitlines()), 1, done.stderr)
+        self.assertIn(words, done.stderr)
+
+    def test_that_is_not_there(self):
+        self.told('there is no such folder', self.run / 'gone')
+
+    def test_that_is_a_file(self):
+        (self.run / 'file').write_text('')
+        self.told('not a folder', self.run / 'file')
+
+    def test_empty(self):
+        self.told('empty, no run was written there', self.run)
+
+    def test_foreign(self):
+        (self.run / 'holiday.jpg').write_text('')
+        self.told('holds no run of godwit (neither summary.json', self.run)
+
+    def test_half_written(self):
+        for name in ('summary.json', 'frames.csv', 'pose.csv', 'trajectory.tum'):
+            (self.run / (name + '.part')).write_text('')
+        self.told('half written: summary.json.part is there', self.run)
+
+    def test_not_whole(self):
+        self.refused('not whole: pose.csv missing', pose_csv=None)
+
+    def test_summary_cut_off(self):
+        self.refused('summary.json: not JSON', summary_json='{"version": ')
+
+    def test_summary_of_something_else(self):
+        self.refused('not the summary of a run: it has no "version"', summary_json='{"kind": "latency"}')
+
+    def test_summary_that_is_no_table(self):
+        self.refused('not the summary of a run', summary_json='[1, 2]')
+
+    def test_frames_of_something_else(self):
+        self.refused('no column "ms"', frames_csv='t,x\n1,2\n')
+
+    def test_frames_cut_off(self):
+        self.refused('frames.csv:3: the line is cut off', frames_csv=self.files['frames.csv'] + '0.1,1.0,0')
+
+    def test_frames_of_another_run(self):
+        self.refused('summary.json tells 1 frames, frames.csv 2', frames_csv=self.files['frames.csv'] +
+                     '0.1,1.0,0,,INITIALISING,0,processed,\n')
+
+    def test_poses_of_another_run(self):
+        self.refused('trajectory.tum has 1 poses', trajectory_tum='0 0 0 0 0 0 0 1 1\n')
+
+    def test_poses_cut_off(self):
+        self.refused('trajectory.tum:1: 3 numbers, not 9', trajectory_tum='0 0 0\n')
+
+    def test_frames_that_are_no_text(self):
+        for name, text in self.files.items():
+            (self.run / name).write_text(text)
+        (self.run / 'frames.csv').write_bytes(bytes(range(128, 256)))
+        self.told('cannot be read', self.run)
+
+    def test_truth_that_is_not_there(self):
+        self.refused('the truth does not fit, or cannot be read', '--truth', self.run / 'gone.txt')
+
+    def test_one_bad_folder_among_good_ones(self):
+        self.told('there is no such folder', self.run / 'gone', self.run)
+
+    def test_cannot_be_written(self):
+        for name, text in self.files.items():
+            (self.run / name).write_text(text)
+        (self.run / 'report').write_text('in the way')
+        done = report(self.run)
+        self.assertEqual(done.returncode, 1, done.stderr)
+        self.assertIn('cannot be written', done.stderr)
+
+
+if __name__ == '__main__':
+    outcome = unittest.main(argv=[sys.argv[0], *sys.argv[2:]], verbosity=2, exit=False).result
+    for test, why in outcome.skipped:
+        print(f'SKIPPED: {test}: {why}')
+    sys.exit(1 if not outcome.wasSuccessful() else 77 if outcome.skipped else 0)
