@@ -25,7 +25,7 @@ BROWSER = 'chromium-headless-shell'
 # The street is flown from its 70th picture on, where it moves, with and without threads.
 FLIGHTS = {
     'alone': ['--sequential', '--start', '70', '--frames', '80', '--view-every', '20', '--gate', 'on'],
-    'threads': ['--start', '70', '--frames', '60'],
+    'threads': ['--start', '70', '--frames', '60', '--pace', 'real', '--render-ahead'],
     'metric': ['--sequential', '--frames', '130', '--imu', 'on'],
 }
 
@@ -134,7 +134,8 @@ class Report(unittest.TestCase):
                                       capture_output=True, text=True, check=True)
                 told = json.loads(told.stdout)
                 shared = [k for k in told if (n, prefix + k) in self.page.figures]
-                self.assertGreater(len(shared), 3)
+                # At real pace a busy machine may not have tracked a frame.
+                self.assertGreater(len(shared), 1 if name == 'threads' else 3)
                 for key in shared:
                     self.assertAlmostEqual(self.page.figures[n, prefix + key][0], told[key], places=9, msg=key)
         self.assertEqual(self.page.figures[0, 'judged.false_sure'][0], 0)
@@ -169,24 +170,15 @@ class Report(unittest.TestCase):
 });</script></body>'''
         copy = self.folder / 'copy.html'
         copy.write_text(text.replace('</body>', count))
-        done = self.browse(copy)
+        done = subprocess.run([BROWSER, '--no-sandbox', '--disable-gpu', '--enable-logging=stderr', '--window-size=1200,900',
+                               '--disable-background-networking', '--disable-dev-shm-usage', '--no-first-run',
+                               f'--user-data-dir={self.folder}/browser', '--dump-dom', f'file://{copy}'],
+                              capture_output=True, text=True, timeout=240, check=False)
         self.assertEqual(done.returncode, 0, done.stderr)
         n = len(self.page.images)
         self.assertIn(f'data-shown="{n} of {n}"', done.stdout[-400:] + done.stdout[:6000])
         self.assertIn('data-wide="true"', done.stdout)
         self.assertEqual([line for line in done.stderr.splitlines() if 'CONSOLE' in line], [])
-
-    def browse(self, file):
-        # The browser itself has been seen to hang on a loaded machine: that says nothing of the page.
-        for turn in range(4):
-            try:
-                return subprocess.run([BROWSER, '--no-sandbox', '--disable-gpu', '--enable-logging=stderr', '--window-size=1200,900',
-                                       '--disable-background-networking', '--disable-component-update', '--disable-dev-shm-usage',
-                                       '--no-first-run', f'--user-data-dir={self.folder}/browser{turn}', '--dump-dom', f'file://{file}'],
-                                      capture_output=True, text=True, timeout=60, check=False)
-            except subprocess.TimeoutExpired:
-                print(f'{BROWSER} hung and was ended', flush=True)
-        self.fail(f'{BROWSER} hung four times')
 
     def test_without_a_truth_nothing_is_said_of_errors(self):
         run = self.folder / 'untrue'
