@@ -56,14 +56,14 @@ def small(file, whole):
 
 def chosen(run, folder=None):
     """(JPEG bytes, caption) of some pictures of the run, the first with all three views; none where there is no folder,
-    unless one was named."""
+    unless one was named. Of a folder that was named nobody knows that this run wrote it: its pictures have numbers only."""
     if folder is not None and not folder.is_dir():
         raise RunError(f'{folder}: there is no such folder of pictures')
-    folder = folder or run.folder / 'view'
+    named, folder = folder is not None, folder or run.folder / 'view'
     if not folder.is_dir():
         return []
     files = sorted((f for f in folder.iterdir() if re.fullmatch(r'\d+\.png', f.name)), key=lambda f: int(f.stem))
-    return [(small(f, n == 0), caption(run, int(f.stem))) for n, f in enumerate(choose(files, run))]
+    return [(small(f, n == 0), f'picture {int(f.stem)}' if named else caption(run, int(f.stem))) for n, f in enumerate(choose(files, run))]
 
 
 def caption(run, number):

@@ -1,0 +1,101 @@
+"""scripts/demo --fast with a stand-in for the program: what it flies with and without a sequence, and that it ends with a
+report whose path is the last thing it prints."""
+import os
+import pathlib
+import subprocess
+import sys
+import unittest
+
+sys.dont_write_bytecode = True
+import stand_in  # noqa: E402
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+# A run of one picture in which nothing was tracked; the folder is relative, as scripts/demo names it.
+FLYER = r'''#!/usr/bin/python3
+import json, pathlib, sys
+a = sys.argv
+with open(pathlib.Path(__file__).parent / 'flown', 'a') as log:
+    log.write(' '.join(a[1:]) + chr(10))
+out = pathlib.Path(a[a.index('--out') + 1])
+out.mkdir(parents=True)
+(out / 'frames.csv').write_text('t,ms,tracked,map_id,state,features,fate,reason\n0.0,1.0,0,,INITIALISING,0,processed,first view\n')
+(out / 'pose.csv').write_text('t,state\n')
+(out / 'trajectory.tum').write_text('')
+(out / 'summary.json').write_text(json.dumps({'version': '1', 'sequence': a[2], 'mode': 'threads', 'pace': 'max', 'frames': 1,
+    'processed': 1, 'tracked': 0, 'tracked_share': 0, 'maps': 0, 'ms': {}}))
+if a[1] == 'fly':
+    (out / 'groundtruth.txt').write_text('0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n')
+if '--view' in a:
+    pathlib.Path(a[a.index('--view') + 1]).mkdir(parents=True)
+'''
+
+
+class Demo(stand_in.StandInTest):
+    FLYER = FLYER
+
+    def setUp(self):
+        super().setUp()
+        self.root = self.folder / 'place' / 'godwit'
+        program = self.root / 'build/release/firmware_app/godwit'
+        program.parent.mkdir(parents=True)
+        self.flyer.rename(program)
+        self.flown = program.parent / 'flown'
+        (self.root / 'scripts').mkdir()
+        for file in (ROOT / 'scripts').iterdir():
+            (self.root / 'scripts' / file.name).symlink_to(file)
+
+    def run_it(self, *arguments):
+        return subprocess.run(['sh', str(self.root / 'scripts/demo'), *arguments], capture_output=True, text=True, check=False,
+                              cwd=self.folder, env=os.environ | {'MPLCONFIGDIR': str(self.folder)})
+
+    def ends_with_a_report(self, done):
+        self.assertEqual(done.returncode, 0, done.stderr)
+        last = done.stdout.splitlines()[-1]
+        self.assertTrue(last.startswith('The report, for a browser: '), last)
+        page = pathlib.Path(last.partition(': ')[2])
+        self.assertEqual(page, self.root / 'out/demo/report/report.html')
+        self.assertIn('<h1>demo</h1>', page.read_text())
+
+    def test_a_street_where_there_is_no_sequence(self):
+        self.ends_with_a_report(self.run_it('--fast'))
+        flown = self.flown.read_text().splitlines()
+        self.assertEqual(len(flown), 2)
+        for words in ('fly street', '--pace real', '--detector on', '--gate on', '--imu on', '--frames 450'):
+            self.assertIn(words, flown[0])
+        self.assertIn('--view out/demo/view', flown[1])
+
+    def test_the_sequence_beside_it(self):
+        (self.folder / 'place/shared/data/tum_fr1_xyz').mkdir(parents=True)
+        self.ends_with_a_report(self.run_it('--fast'))
+        self.assertRegex(self.flown.read_text(), r'^replay .*tum_fr1_xyz --out out/demo --view out/demo/view .*--frames 450\n$')
+
+    def test_a_sequence_of_ones_own(self):
+        (self.folder / 'mine').mkdir()
+        done = self.run_it('--fast', 'mine', '--pace', 'real')
+        self.ends_with_a_report(done)
+        self.assertIn('No ground truth lies beside the sequence', done.stdout)
+        self.assertEqual(self.flown.read_text(), f'replay {self.folder}/mine --out out/demo --frames 450 --pace real\n')
+
+    def test_what_an_earlier_one_left_is_not_shown(self):
+        old = self.root / 'out/demo/view'
+        old.mkdir(parents=True)
+        (old / '000000.png').write_text('no picture')
+        (self.folder / 'mine').mkdir()
+        self.ends_with_a_report(self.run_it('--fast', 'mine', '--pace=real'))
+        self.assertFalse(old.exists())
+
+    def test_a_folder_that_is_not_there(self):
+        done = self.run_it('--fast', 'gone')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('there is no sequence at', done.stderr)
+
+    def test_a_tree_that_is_not_built(self):
+        (self.root / 'build/release/firmware_app/godwit').unlink()
+        done = self.run_it('--fast')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('is not there: scripts/demo without --fast builds it', done.stderr)
+
+
+if __name__ == '__main__':
+    unittest.main()
