@@ -1,34 +1,122 @@
 #!/usr/bin/python3
-"""scripts/check_docs: the repository's documents are in order, and what leads nowhere is found."""
-import os
+"""scripts/check_docs: the repository's documents are in order, and what leads nowhere is found.
+
+  check_docs_test.py [BUILD]     BUILD: options are compared with the programs' own --help, too
+"""
+import pathlib
+import re
 import subprocess
 import sys
 import tempfile
+import unittest
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-CHECK = os.path.join(ROOT, 'scripts/check_docs')
+sys.dont_write_bytecode = True
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+CHECK = ROOT / 'scripts/check_docs'
+BUILD = ['--build', sys.argv[1]] if len(sys.argv) > 1 else []
+NONE = '-' + '-wings'  # not written out, because the tests are searched for options, too
+sys.path.insert(0, str(ROOT / 'scripts'))
+from documents import links, reasons  # noqa: E402
 
 
-def run(*files):
-    return subprocess.run([CHECK, *files], capture_output=True, text=True, check=False)
+def run(*words):
+    return subprocess.run([str(CHECK), *map(str, words)], capture_output=True, text=True, check=False)
 
 
-def main():
-    whole = run()
-    assert whole.returncode == 0, whole.stdout
-    with tempfile.TemporaryDirectory() as folder:
-        page = os.path.join(folder, 'page.md')
-        open(os.path.join(folder, 'other.md'), 'w', encoding='utf-8').close()
-        with open(page, 'w', encoding='utf-8') as f:
-            f.write('[good](other.md) [bad](gone.md)\n`vo_core/tracker.h` `vo_core/tracker` `vo_core/gone.cpp`\n'
-                    '`scripts/{demo,gone}` `build/release/x` `scripts/test full`\n')
-        told = run(page)
-        assert told.returncode == 1, told.stdout
-        for expected in (':1: link to gone.md', ':2: `vo_core/gone.cpp`', ':3: `scripts/gone`'):
-            assert expected in told.stdout, (expected, told.stdout)
-        assert '3 findings' in told.stdout, told.stdout
+class CheckDocs(unittest.TestCase):
+    def setUp(self):
+        self.temp = tempfile.TemporaryDirectory()
+        self.folder = pathlib.Path(self.temp.name)
+
+    def tearDown(self):
+        self.temp.cleanup()
+
+    def findings(self, text, name='page.md', words=()):
+        (self.folder / name).write_text(text)
+        told = run(*words, self.folder / name)
+        lines = [line.partition(f'{name}:')[2] for line in told.stdout.splitlines()[:-1]]
+        self.assertEqual(told.returncode, 1 if lines else 0, told.stdout + told.stderr)
+        return lines
+
+    def test_the_documents_are_in_order(self):
+        for words in ([], BUILD) if BUILD else ([],):
+            told = run(*words)
+            self.assertEqual(told.returncode, 0, told.stdout + told.stderr)
+            self.assertRegex(told.stdout, r'check_docs: \d\d documents, 0 findings')
+
+    def test_links_and_anchors(self):
+        (self.folder / 'other.md').write_text('# One heading, and `code`\n## Twice\n## Twice\n')
+        self.assertEqual(self.findings('# Here\n[a](other.md) [b](#here) [c](other.md#one-heading-and-code) [d](other.md#twice-1) '
+                                       '[e](https://x.y/z#q) `[f](no link)`\n'), [])
+        self.assertEqual(self.findings('[a](gone.md)\n[b](other.md#nowhere) [c](#gone)\n'),
+                         ['1: link to gone.md, which is not there', '2: link to #gone: no heading of that page is #gone',
+                          '2: link to other.md#nowhere: no heading of that page is #nowhere'])
+
+    def test_headings_in_code_are_none(self):
+        self.assertEqual(links.anchors('# A\n```\n# b\n```\n## [C](d.md) e\n'), {'a', 'c-e'})
+
+    def test_names_of_files(self):
+        self.assertEqual(self.findings('`hal/rt/time.h` `hal/rt/time` `hal/rt/gone.cpp` `scripts/{demo,gone}` `build/release/x`\n'),
+                         ['1: `hal/rt/gone.cpp` is not there', '1: `scripts/gone` is not there'])
+
+    def test_commands_of_ours(self):
+        for good in ('godwit replay FOLDER --out DIR --imu on', 'build/release/firmware_app/godwit fly street --seed 2',
+                     'scripts/test full', 'tests/vm/run service', 'benchmarks/conditions --seeds 1', 'cmake --preset release',
+                     'sudo ip link set can0 up', 'godwitd --config FILE', 'GODWIT_X=1 scripts/golden check  # a word'):
+            self.assertEqual(self.findings(f'Text\n\n    {good}\n'), [], good)
+            self.assertEqual(self.findings(f'So: `{good}`.\n'), [], good)
+        for bad, why in (('godwit fly street --sed 2', '`godwit fly` has no option --sed'),
+                         ('godwit flie street', '`godwit` has no command flie'),
+                         ('godwit fly stret', 'there is no scenario stret'),
+                         ('scripts/gone --all', '`scripts/gone` is not there'),
+                         ('scripts/demo --slow', '`scripts/demo` has no option --slow'),
+                         ('scripts/test fast', '`scripts/test` has no step fast'),
+                         ('tests/vm/run gone', '`tests/vm/run` has no case gone'),
+                         ('benchmarks/conditions --scenarios strete', 'there is no scenario strete'),
+                         ('build/release/benchmarks/godwit-gone X', 'nothing of that name is built'),
+                         ('cmake --preset fast', 'cmake has no preset fast')):
+            for text in (f'Text\n\n    {bad}\n', f'So: `{bad}`.\n', f'```\n{bad}\n```\n', f'    true && {bad}\n'):
+                found = [f for f in self.findings(text) if why in f]
+                self.assertEqual(len(found), 1, (text, why))
+
+    def test_what_is_marked_is_left_alone(self):
+        self.assertEqual(self.findings(f'Of another one: `godwit fly {NONE} 2` <!-- not ours -->\n'), [])
+
+    def test_what_is_no_command(self):
+        self.assertEqual(self.findings('Text\n\n    E = m c^2 --> x\n\n`godwit` and `--imu on`, `a --b`\n'), [])
+        self.assertEqual(self.findings(f'`{NONE}`\n'), [f'1: no program here has an option {NONE}'])
+
+    @unittest.skipUnless(BUILD, 'no build was named')
+    def test_by_the_programs_own_help(self):
+        self.assertEqual(self.findings('    godwit fly street --loop 2\n'), [], 'another command of the program has it')
+        self.assertEqual(self.findings('    godwit fly street --loop 2\n', words=BUILD), ['1: `godwit fly` has no option --loop'])
+        self.assertEqual(self.findings('    ctest -R no_such_test\n', words=BUILD), ['1: ctest knows no test no_such_test'])
+
+    def test_each_hazard_names_a_test(self):
+        table = '| # | failure | test |\n|---|---|---|\n'
+        self.assertEqual(self.findings(table + '| 1 | a | LostIsToldWithTheFrame; link_test.py lost |\n'
+                                       '| 2 | b | `tests/vm/run` socketcan |\n', 'hazards.md'), [])
+        self.assertEqual(self.findings(table + '| 1 | a | - |\n| 3 | b | NoSuchTestIsThere |\n| 3 | c | gone_test.py |\n', 'hazards.md'),
+                         ['3: row 1 names no test', '4: no test is called NoSuchTestIsThere', '4: row 2 has the number 3',
+                          '4: row 2 names no test', '5: gone_test.py is not in tests/', '5: row 3 names no test'])
+        self.assertEqual(self.findings('no table\n', 'hazards.md'), ['1: no table of hazards (it begins with "| # | failure |")'])
+
+    def test_each_reason_is_explained(self):
+        known = reasons.reasons(ROOT)
+        # Of each way in which the sources write one.
+        for reason in ('too few features', 'first map, homography', 'disparity too small [px]', 'no keyframe to begin with, points in it',
+                       'too few of the alignments hold [%]', 'the scale is not seen: its sigma', 'rung down', 'IMU silent', 'no picture',
+                       'waiting for motion that shows scale and vertical', 'by the inertial sensor alone [ms]', 'a newer picture had come',
+                       'camera clock: the capture time did not advance', 'detector is back', 'flown blind too far to join on: sigma [m]',
+                       'nothing seen for too long to coast [s]', 'tracking, mostly by proved points inside the mask'):
+            self.assertIn(reason, known)
+        found = self.findings('`too few features`\n', 'troubleshooting.md')
+        self.assertEqual(len(found), len(known) - 1)
+        self.assertTrue(all(re.match(r'1: `.*` is told by \S+ and not explained', f) for f in found), found)
+
+    def test_readme_is_short(self):
+        self.assertLessEqual((ROOT / 'README.md').read_text().count('\n'), 130)
 
 
 if __name__ == '__main__':
-    main()
-    sys.exit(0)
+    unittest.main(argv=sys.argv[:1])
