@@ -15,7 +15,7 @@ class Row:
 
 HEAD = [
     Row('judged.false_sure', 'false-sure frames', 'count'),
-    Row('judged.ate_m', 'ATE', 'length'),
+    Row('judged.ate', 'ATE', 'length'),
     Row('tracked_share', 'frames tracked', 'share'),
     Row('first_pose_after_frames', 'first pose after', 'frames'),
     Row('ms.median', 'a frame, median', 'ms'),
@@ -67,7 +67,8 @@ def value_of(key, run, judged):
         if key == 'false_sure':
             return int(judged.false_sure.sum())
         where = judged.figures
-        value = where.get(key)
+        # Of a metric run the one that was not scaled.
+        value = where.get('metric_ate_m' if 'metric_ate_m' in where else 'ate_m') if key == 'ate' else where.get(key)
     else:
         value = where
         for part in key.split('.'):

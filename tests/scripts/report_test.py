@@ -124,6 +124,20 @@ class Report(unittest.TestCase):
             wanted = dict(leaves(summary))
             self.assertEqual({k: v for (run, k), v in self.page.exact.items() if run == n}, wanted)
 
+    def test_all_that_a_run_writes_is_documented(self):
+        formats = (ROOT / 'docs/formats.md').read_text()
+        told = set(re.findall(r'`([^`]+)`', formats))
+        for first, last in re.findall(r'`([a-z])00` .. `[a-z](\d\d)`', formats):
+            told |= {f'{first}{i}{j}' for i in range(int(last[0]) + 1) for j in range(i, int(last[0]) + 1)}
+        schema = json.loads((ROOT / 'docs/figures.schema.json').read_text())['$defs']['summary']['properties']
+        for n, name in enumerate(FLIGHTS):
+            for file in ('frames.csv', 'pose.csv'):
+                columns = (self.folder / name / file).read_text().partition('\n')[0].split(',')
+                self.assertEqual([c for c in columns if c not in told], [], (file, 'columns that docs/formats.md lacks'))
+            self.assertEqual([k for k in self.summaries[n] if 'description' not in schema.get(k, {})], [])
+            files = {p.name for p in (self.folder / name).iterdir() if p.is_file()}
+            self.assertEqual(files - told, set(), 'files that docs/formats.md lacks')
+
     def test_errors_are_those_of_evaluate(self):
         for n, name in enumerate(FLIGHTS):
             run = self.folder / name
