@@ -50,12 +50,27 @@ struct Readout {
   double seconds = 0;  ///< first row to last
   double sigma_s = 0;  ///< its standard deviation, by the pictures' own scatter
   std::size_t pictures = 0;
+  /// More than a global shutter's would come out by chance.
+  bool rolling() const { return seconds > 3 * sigma_s && seconds > 1e-3; }
 };
 
 /// How long the rows' exposures last, from pictures of a board before which the camera moves: rows further down show it
 /// later. Views in the order of their times, at most max_gap_s from one to the next where they are to count. Nothing:
-/// the motion does not show it (sigma above a thousandth of a second).
+/// the motion does not show it (sigma above a thousandth of a second). straight, where not null: the views as a global
+/// shutter would have seen them; those that move and of which nobody knows how are left out.
 std::optional<Readout> measure_readout(const Board& board, const std::vector<BoardView>& views,
-                                       const hal::CameraCalibration& calibration, double max_gap_s);
+                                       const hal::CameraCalibration& calibration, double max_gap_s,
+                                       std::vector<BoardView>* straight = nullptr);
+
+struct CameraAndReadout {
+  CalibratedCamera camera;
+  std::optional<Readout> readout;
+};
+
+/// Both, each by the other: a rolling shutter bends pictures of what moves, and with them the camera (by percents of
+/// the focal length), and a wrong camera's readout is wrong. Errors of calibrate_camera().
+rt::Result<CameraAndReadout> calibrate_camera_and_readout(const Board& board, const std::vector<BoardView>& views,
+                                                          int width, int height,
+                                                          hal::CameraCalibration::Distortion model, double max_gap_s);
 
 }  // namespace godwit::app

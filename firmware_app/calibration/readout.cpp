@@ -10,6 +10,11 @@ namespace {
 
 constexpr std::size_t kLeastPointsOfAView = 12;
 constexpr double kMostSigmaS = 1e-3;
+/// Points that move by less in the mean [pixels/s] are bent by a third of a pixel at most.
+constexpr double kStillPixelsS = 10;
+constexpr std::size_t kEnoughStill = 10;
+constexpr double kSettled = 0.003;  ///< of the readout, from round to round
+constexpr int kRounds = 12;
 
 struct Moment {
   double t_s = 0;
@@ -45,10 +50,35 @@ cv::Mat beside_pose(const cv::Mat& jacobian, const cv::Mat& v) {
   return v - jacobian * x;
 }
 
+/// Mean speed of the points that both views show [pixels/s]; nothing: they are too far apart in time, or share none.
+std::optional<double> speed(const BoardView& a, const BoardView& b, double max_gap_s) {
+  const double dt_s = std::abs(rt::to_seconds(b.t_ns - a.t_ns));
+  if (a.t_ns == 0 || b.t_ns == 0 || !(dt_s > 0) || dt_s > max_gap_s) return std::nullopt;
+  double sum = 0;
+  int shared = 0;
+  auto at = b.points.begin();
+  for (const BoardPoint& p : a.points) {
+    while (at != b.points.end() && at->id < p.id) ++at;
+    if (at == b.points.end() || at->id != p.id) continue;
+    sum += std::hypot(p.x - at->x, p.y - at->y);
+    ++shared;
+  }
+  if (shared == 0) return std::nullopt;
+  return sum / shared / dt_s;
+}
+
+/// Against those before and behind; a picture without such is taken to be still.
+bool is_still(const std::vector<BoardView>& views, std::size_t i, double max_gap_s) {
+  const bool moves_before = i > 0 && speed(views[i - 1], views[i], max_gap_s).value_or(0) > kStillPixelsS;
+  return !moves_before &&
+         (i + 1 == views.size() || speed(views[i], views[i + 1], max_gap_s).value_or(0) <= kStillPixelsS);
+}
+
 }  // namespace
 
 std::optional<Readout> measure_readout(const Board& board, const std::vector<BoardView>& views,
-                                       const hal::CameraCalibration& c, double max_gap_s) {
+                                       const hal::CameraCalibration& c, double max_gap_s,
+                                       std::vector<BoardView>* straight) {
   std::vector<Moment> moments;
   for (const BoardView& v : views) {
     Moment m{rt::to_seconds(v.t_ns), false, {}, v.points};
@@ -98,6 +128,14 @@ std::optional<Readout> measure_readout(const Board& board, const std::vector<Boa
     const double left = std::max(0.0, scatter - shown * readout) / static_cast<double>(equations);
     out.seconds = readout;
     out.sigma_s = std::sqrt(left / power);
+    if (straight != nullptr) {
+      straight->clear();
+      for (std::size_t i = 0; i < views.size(); ++i) {
+        if (straightened[i].empty() && !is_still(views, i, max_gap_s)) continue;
+        straight->push_back(views[i]);
+        if (!straightened[i].empty()) straight->back().points = straightened[i];
+      }
+    }
     for (std::size_t i = 0; i < moments.size(); ++i) {
       if (!straightened[i].empty() && !find_pose(board, straightened[i], c, &moments[i].pose, true)) {
         moments[i].good = false;
@@ -105,6 +143,39 @@ std::optional<Readout> measure_readout(const Board& board, const std::vector<Boa
     }
   }
   if (out.sigma_s > kMostSigmaS) return std::nullopt;
+  return out;
+}
+
+rt::Result<CameraAndReadout> calibrate_camera_and_readout(const Board& board, const std::vector<BoardView>& views,
+                                                          int width, int height,
+                                                          hal::CameraCalibration::Distortion model, double max_gap_s) {
+  const auto calibrate = [&](const std::vector<BoardView>& by) {
+    return calibrate_camera(board, by, width, height, model);
+  };
+  auto all = calibrate(views);
+  if (!all) return all.error();
+  CameraAndReadout out{std::move(all).value(), std::nullopt};
+  // What is still is bent by no shutter: the better camera to begin with.
+  hal::CameraCalibration begin = out.camera.calibration;
+  std::vector<BoardView> still;
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    if (is_still(views, i, max_gap_s)) still.push_back(views[i]);
+  }
+  if (still.size() >= kEnoughStill && still.size() < views.size()) {
+    if (const auto by_still = calibrate(still)) begin = by_still.value().calibration;
+  }
+  std::vector<BoardView> straight;
+  out.readout = measure_readout(board, views, begin, max_gap_s, &straight);
+  for (int round = 0; round < kRounds && out.readout && out.readout->rolling(); ++round) {
+    auto better = calibrate(straight);
+    if (!better) break;
+    out.camera = std::move(better).value();
+    const double before_s = out.readout->seconds;
+    const auto again = measure_readout(board, views, out.camera.calibration, max_gap_s, &straight);
+    if (!again) break;
+    out.readout = again;
+    if (std::abs(again->seconds - before_s) < kSettled * before_s) break;
+  }
   return out;
 }
 

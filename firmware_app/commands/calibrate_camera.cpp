@@ -144,7 +144,7 @@ std::string report(const CalibratedCamera& c) {
 
 std::string readout_text(const std::optional<Readout>& readout, double fps, hal::CameraCalibration* c) {
   if (!readout) return "readout: the motion does not show it\n";
-  const bool rolling = readout->seconds > 3 * readout->sigma_s && readout->seconds > 1e-3;
+  const bool rolling = readout->rolling();
   if (rolling && fps > 0) {
     c->fps = fps;
     c->readout_frames = std::min(1.0, readout->seconds * fps);
@@ -169,12 +169,14 @@ int run_calibrate_camera(const CalibrateArguments& arguments, const std::atomic<
   if (!seen) return stopped(seen.error().message, kExitRefused);
   const Seen& s = seen.value();
   using Distortion = hal::CameraCalibration::Distortion;
-  auto done = calibrate_camera(board.value(), s.views, s.width, s.height,
-                               a.model == "radtan" ? Distortion::kRadTan : Distortion::kKannalaBrandt4);
+  fmt::print(stderr, "calibrating ..\n");
+  auto done =
+      calibrate_camera_and_readout(board.value(), s.views, s.width, s.height,
+                                   a.model == "radtan" ? Distortion::kRadTan : Distortion::kKannalaBrandt4, kMostGapS);
   if (!done) return stopped(done.error().message, kExitFailed);
-  CalibratedCamera& c = done.value();
+  CalibratedCamera& c = done.value().camera;
   std::string text = report(c);
-  text += readout_text(measure_readout(board.value(), s.views, c.calibration, kMostGapS), a.fps, &c.calibration);
+  text += readout_text(done.value().readout, a.fps, &c.calibration);
   const auto wrong = verdict(c);
   text += wrong.empty() ? "verdict: good\n" : "verdict: not good enough to fly\n";
   for (const std::string& reason : wrong) text += "  " + reason + "\n";

@@ -1,40 +1,28 @@
 // The tool as a user runs it: arguments, refusals, exit codes, files.
-#include <array>
-#include <cstdio>
 #include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <sys/stat.h>
-#include <sys/wait.h>
 
+#include "tests/support/run_command.h"
 #include "tests/support/tiny_sequence.h"
 
 namespace {
 
 namespace fs = std::filesystem;
+using godwit::test::Outcome;
 using godwit::test::read_file;
+using godwit::test::run_command;
 using godwit::test::TempFolder;
 using godwit::test::write_file;
 using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string text;  ///< both streams
-};
-
 Outcome godwit(const std::string& arguments, const std::string& before = "") {
-  Outcome outcome;
-  std::FILE* pipe = popen((before + "'" GODWIT_TOOL "' " + arguments + " 2>&1").c_str(), "r");
-  if (pipe == nullptr) return outcome;
-  std::array<char, 4096> block{};
-  while (std::fgets(block.data(), static_cast<int>(block.size()), pipe) != nullptr) outcome.text += block.data();
-  const int status = pclose(pipe);
-  if (WIFEXITED(status)) outcome.exit_code = WEXITSTATUS(status);
-  return outcome;
+  return run_command(before + "'" GODWIT_TOOL "' " + arguments);
 }
 
 std::size_t count_lines(const std::string& file) {
