@@ -25,11 +25,14 @@ void say(const std::string& line) {
 /// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
  public:
-  ShowingSink(FrameSink* next, ProgressBar* bar, std::string memory_refused)
-      : next_(next), bar_(bar), memory_refused_(std::move(memory_refused)) {}
+  ShowingSink(FrameSink* next, FrameSink* beside, ProgressBar* bar, std::string memory_refused)
+      : next_(next), beside_(beside), bar_(bar), memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
     bar_->show(++done_, vo::state_name(record.state));
+    if (beside_ != nullptr) {
+      if (auto taken = beside_->take(record); !taken) return taken;
+    }
     return next_->take(record);
   }
   void started(const std::vector<std::string>& refused) override {
@@ -45,6 +48,7 @@ class ShowingSink final : public FrameSink {
 
  private:
   FrameSink* next_;
+  FrameSink* beside_;
   ProgressBar* bar_;
   const std::string memory_refused_;
   std::int64_t done_ = 0;
@@ -105,9 +109,9 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     if (!opened) return refuse("--view: " + opened.error().message);
     view.emplace(std::move(opened).value());
   }
-  auto assembled =
-      assemble(config, calibration,
-               {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial});
+  auto assembled = assemble(
+      config, calibration,
+      {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial, plan.gyro_helps});
   if (!assembled) return refuse(assembled.error().message);
   const Assembly& parts = assembled.value();
   if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
@@ -138,7 +142,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, &bar, arm_memory(config));
+    ShowingSink sink(&writer, plan.beside, &bar, arm_memory(config));
     run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }

@@ -7,6 +7,7 @@
 
 #include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/mask_source.h"
+#include "firmware_app/pipeline/pipeline.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
 #include "hal/imu/imu.h"
@@ -25,6 +26,8 @@ struct CameraRunPlan {
   MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
   bool inertial = false;        ///< and used: poses are metric and level
+  bool gyro_helps = true;       ///< vision, too; see OdometryOptions
+  FrameSink* beside = nullptr;  ///< hears each record, too; null: nobody
   std::string view;             ///< folder for pictures of what was seen; empty: none
   std::int64_t view_every = 30;
 };

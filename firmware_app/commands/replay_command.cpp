@@ -7,6 +7,7 @@
 #include <memory>
 
 #include "firmware_app/commands/camera_run.h"
+#include "firmware_app/commands/written_calibration.h"
 #include "firmware_app/config/config.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/byte_port.h"
@@ -49,6 +50,11 @@ void add_replay_command(CLI::App* app, ReplayArguments* a) {
       ->type_name("N")
       ->check(whole_number(1, 1'000'000))
       ->capture_default_str();
+  replay
+      ->add_option("--write-calibration", a->write_calibration,
+                   "With --imu on or watch: write the sequence's calibration (TOML) with rotation and time offset "
+                   "between camera and IMU as this flight shows them; needs turns about all three axes")
+      ->type_name("FILE");
   add_run_options(replay, a);
   replay->footer(
       "Writes trajectory.tum, frames.csv, pose.csv and summary.json; summary.json comes last, so a folder that\n"
@@ -202,10 +208,15 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   auto camera = hal::ReplayCamera::open(a.sequence, replay);
   if (!camera) return refuse(camera.error().message);
   std::unique_ptr<hal::ReplayImu> imu;
+  std::vector<hal::ImuSample> readings;
+  if (!a.write_calibration.empty() && a.imu == "off") {
+    return refuse("--write-calibration: how the IMU turned must be known; add --imu on or --imu watch");
+  }
   if (a.imu != "off") {
     if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
     auto record = hal::read_imu_record(a.sequence);
     if (!record) return refuse(record.error().message);
+    if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
   }
   const hal::CameraCalibration& calibration = camera.value()->calibration();
@@ -221,7 +232,14 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.inertial = a.imu == "on";
   plan.view = a.view;
   plan.view_every = a.view_every;
-  return run_camera(camera.value().get(), calibration, config, plan, stop);
+  if (a.write_calibration.empty()) return run_camera(camera.value().get(), calibration, config, plan, stop);
+  TurnListener turns;
+  plan.beside = &turns;
+  plan.gyro_helps = false;
+  if (const int code = run_camera(camera.value().get(), calibration, config, plan, stop); code != kExitDone)
+    return code;
+  const auto written = write_camera_imu(a.write_calibration, calibration, turns.turns(), readings);
+  return written ? kExitDone : failed("--write-calibration: " + written.error().message);
 }
 
 }  // namespace godwit::app

@@ -17,9 +17,10 @@ struct ReplayArguments {
   std::string pace = "max";
   bool sequential = false;
   std::int64_t start = 0;
-  std::int64_t frames = 0;     ///< 0: all
-  std::int64_t loop = 1;       ///< passes, forth and back in turn; replay only
-  std::string detector, gate;  ///< "on" or "off"; empty: as the configuration file says, off where it does not
+  std::int64_t frames = 0;        ///< 0: all
+  std::string write_calibration;  ///< file; empty: none. replay only
+  std::int64_t loop = 1;          ///< passes, forth and back in turn; replay only
+  std::string detector, gate;     ///< "on" or "off"; empty: as the configuration file says, off where it does not
   std::string imu = "off";
   std::string model;
   std::string view;  ///< empty: no pictures

@@ -79,6 +79,8 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
       return rt::Error{
           (plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") +
           std::string("the inertial sensor cannot be used without T_body_cam: where the camera sits on it")};
+    odometry.gyro_helps = plan.gyro_helps;
+    odometry.inertial_time_offset_s = calibration.time_offset_s.value_or(0);
     odometry.coast_ns = static_cast<rt::TimeNs>(config.imu.coast_s * 1e9);
   }
   MaskSource* const masks = plan.masks != nullptr ? plan.masks : out.dynamic.get();

@@ -25,6 +25,7 @@ struct AssemblyPlan {
   MaskSource* masks = nullptr;   ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   FrameView* view = nullptr;     ///< may be null
   bool inertial = false;         ///< the pipeline has an inertial sensor, and it is to be used
+  bool gyro_helps = true;        ///< vision, too; see OdometryOptions
 };
 
 /// Destroyed from the last to the first: the pool outlives what points into it.

@@ -64,11 +64,12 @@ vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::Metri
 
 }  // namespace
 
-InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns)
+InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s)
     : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam))),
       navigation_(
           std::make_unique<vo::NavigationFrame>(mounting_of(T_body_cam).t_body_cam_m, navigation_options(coast_ns))),
-      coast_ns_(coast_ns) {}
+      coast_ns_(coast_ns),
+      shift_ns_(static_cast<rt::TimeNs>(std::llround(time_offset_s * 1e9))) {}
 
 void InertialPoses::take(const hal::ImuSample& s) {
   const vo::ImuReading reading{s.t_ns, Eigen::Vector3d(s.gyro_rad_s.data()), Eigen::Vector3d(s.accel_m_s2.data())};
@@ -81,13 +82,15 @@ void InertialPoses::take(const hal::ImuSample& s) {
 
 vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
   vo::RotationPrior prior;
-  if (t_last_ns_ > 0 && odometry_->camera_turn(t_last_ns_, t_ns, &prior.R_cur_ref)) prior.sigma_rad = kTurnSigmaRad;
+  if (t_last_ns_ > 0 && odometry_->camera_turn(t_last_ns_, t_ns + shift_ns_, &prior.R_cur_ref))
+    prior.sigma_rad = kTurnSigmaRad;
   return prior;
 }
 
 void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, FrameRecord* record) {
   // Nothing was measured, and what was told stands.
   if (result.repeated) return;
+  t_ns += shift_ns_;
   t_last_ns_ = t_ns;
   vo::VisualPose seen;
   seen.t_ns = t_ns;
@@ -137,7 +140,7 @@ void InertialPoses::tell_sensor(double log_scale_sigma) {
   Eigen::Map<Eigen::Vector3d>(sensor_.gyro_bias.data()) = x.bias.gyro;
   Eigen::Map<Eigen::Vector3d>(sensor_.accel_bias.data()) = x.bias.accel;
   Eigen::Map<Eigen::Vector3d>(sensor_.mounting.data()) = x.mounting;
-  sensor_.time_offset_s = x.time_offset_s;
+  sensor_.time_offset_s = rt::to_seconds(shift_ns_) + x.time_offset_s;
 }
 
 void InertialPoses::fill(const vo::NavigationPose& pose, FrameRecord* record) const {

@@ -17,8 +17,9 @@ namespace godwit::app {
 class InertialPoses {
  public:
   /// Row by row: camera points into the body, whose axes the sensor's readings have.
-  /// coast_ns: how long a pose may come from that sensor alone.
-  InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns);
+  /// coast_ns: how long a pose may come from that sensor alone. time_offset_s: what to add to the camera's times to
+  /// have that sensor's, as calibrated.
+  InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s = 0);
 
   void take(const hal::ImuSample& sample);
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
@@ -36,7 +37,8 @@ class InertialPoses {
   std::unique_ptr<vo::InertialOdometry> odometry_;
   std::unique_ptr<vo::NavigationFrame> navigation_;
   const rt::TimeNs coast_ns_;
-  InertialRecord sensor_;  ///< as known with the last picture that gave a metric pose
+  const rt::TimeNs shift_ns_;  ///< what is calibrated; all times within are the inertial sensor's
+  InertialRecord sensor_;      ///< as known with the last picture that gave a metric pose
   rt::TimeNs t_last_ns_ = 0;
 };
 

@@ -40,9 +40,11 @@ class OdometryStage final : public FrameStage {
         channel_(std::make_unique<vo::MapChannel>()),
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
         mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, keyframe_slots(*pool)), channel_.get())),
-        exchange_(masks, tracker_.get()) {
+        exchange_(masks, tracker_.get()),
+        gyro_helps_(options.gyro_helps) {
     if (options.inertial_T_body_cam) {
-      inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns);
+      inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns,
+                                                  options.inertial_time_offset_s);
     }
   }
 
@@ -59,7 +61,7 @@ class OdometryStage final : public FrameStage {
       exchange_.purge_movers(frame.meta.t_capture_ns);
     }
     input.feature_share = feature_share_;
-    if (inertial_ != nullptr) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
+    if (inertial_ != nullptr && gyro_helps_) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,
@@ -195,7 +197,8 @@ class OdometryStage final : public FrameStage {
   static constexpr std::size_t kReports = 16;  ///< more than there are messages
   rt::SpscRing<vo::MapperReport, kReports> reports_;
   // Tracker's own.
-  MaskExchange exchange_;                    ///< used only with masks
+  MaskExchange exchange_;  ///< used only with masks
+  const bool gyro_helps_;
   std::unique_ptr<InertialPoses> inertial_;  ///< null: vision alone
   double feature_share_ = 1.0;
 };

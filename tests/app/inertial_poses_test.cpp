@@ -22,8 +22,8 @@ using vo::Vec3;
 /// A flight through vision's eyes, as the tracker tells of it, 20 pictures a second.
 class Flown {
  public:
-  explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond)
-      : flight_(1.0, seed), poses_(mounting(), coast_ns) {}
+  explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond, double time_offset_s = 0)
+      : flight_(1.0, seed), poses_(mounting(), coast_ns, time_offset_s) {}
 
   FrameRecord frame(int k) {
     for (int i = 1; i <= 10; ++i) {
@@ -47,7 +47,7 @@ class Flown {
     result.median_depth = 1;
     if (spoil_result_) spoil_result_(&result);
     FrameRecord record = as_vision_has_it(result);
-    poses_.make_metric(result, seen.t_ns, &record);
+    poses_.make_metric(result, seen.t_ns + late_ns_, &record);
     return record;
   }
   /// The record before it is made metric.
@@ -73,6 +73,7 @@ class Flown {
   vo::test::Flight flight_;
   InertialPoses poses_;
   bool tracked_ = true;
+  rt::TimeNs late_ns_ = 0;  ///< pictures are stamped later than they were taken
   std::uint32_t map_id_ = 1;
   std::function<void(hal::ImuSample*)> spoil_sample_;
   std::function<void(vo::FrameResult*)> spoil_result_;
@@ -113,6 +114,24 @@ TEST(InertialPoses, NothingThatVisionKnowsIsRescaledOrTurned) {
     EXPECT_EQ(r.metric, r.has_pose) << "without metres there is no pose";
     EXPECT_EQ(r.frame_id, r.metric ? 1u : 0u);
     metric += r.metric ? 1 : 0;
+  }
+  EXPECT_GT(metric, 50);
+}
+
+// Of a calibration's time offset nothing was flown by.
+TEST(InertialPoses, PicturesAreTakenForAsLateAsTheCalibrationSays) {
+  constexpr double kLateS = 0.04;
+  Flown f(1, 2 * rt::kNsPerSecond, -kLateS);
+  f.late_ns_ = static_cast<rt::TimeNs>(kLateS * 1e9);
+  Flown punctual(1);
+  int metric = 0;
+  for (int k = 0; k < 100; ++k) {
+    const FrameRecord r = f.frame(k), same = punctual.frame(k);
+    ASSERT_EQ(r.metric, same.metric);
+    if (!r.metric) continue;
+    ++metric;
+    EXPECT_EQ(r.t_world_cam, same.t_world_cam);
+    EXPECT_NEAR(r.inertial.time_offset_s, same.inertial.time_offset_s - kLateS, 1e-9);
   }
   EXPECT_GT(metric, 50);
 }
