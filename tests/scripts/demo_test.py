@@ -77,6 +77,17 @@ class Demo(stand_in.StandInTest):
         self.assertIn('No ground truth lies beside the sequence', done.stdout)
         self.assertEqual(self.flown.read_text(), f'replay {self.folder}/mine --out out/demo --frames 450 --pace real\n')
 
+    def test_a_sequence_of_kitti(self):
+        pictures = self.folder / 'mine/image_0'
+        pictures.mkdir(parents=True)
+        # The head of a PNG is all that is looked at here.
+        (pictures / '000000.png').write_bytes(b'\x89PNG\r\n\x1a\n\0\0\0\rIHDR' + bytes([0, 0, 4, 217, 0, 0, 1, 120, 8, 0]))
+        (self.folder / 'mine/times.txt').write_text('0.0e+00\n')
+        (self.folder / 'mine/calib.txt').write_text('P0: 718 0 607 0 0 718 185 0 0 0 1 0\n')
+        self.ends_with_a_report(self.run_it('--fast', 'mine'))
+        self.assertTrue(self.flown.read_text().startswith(f'replay {self.root}/out/demo_kitti --out out/demo '))
+        self.assertIn('width: 1241\nheight: 376\n', (self.root / 'out/demo_kitti/camera.yaml').read_text())
+
     def test_what_an_earlier_one_left_is_not_shown(self):
         old = self.root / 'out/demo/view'
         old.mkdir(parents=True)
