@@ -5,7 +5,7 @@ import re
 import numpy as np
 from PIL import Image
 
-from report.run_folder import RunError
+from report.run_folder import RunError, read
 
 MOST = 6
 WIDTH_PX = 1280
@@ -56,14 +56,22 @@ def small(file, whole):
 
 def chosen(run, folder=None):
     """(JPEG bytes, caption) of some pictures of the run, the first with all three views; none where there is no folder,
-    unless one was named. Of a folder that was named nobody knows that this run wrote it: its pictures have numbers only."""
+    unless one was named. A named folder may be another run's: where that run lies around it, captions are of that one,
+    else numbers only."""
     if folder is not None and not folder.is_dir():
         raise RunError(f'{folder}: there is no such folder of pictures')
-    named, folder = folder is not None, folder or run.folder / 'view'
+    if folder is not None:
+        try:
+            run = read(folder.resolve().parent)
+        except RunError:
+            run = None
+    folder = folder or run.folder / 'view'
     if not folder.is_dir():
         return []
     files = sorted((f for f in folder.iterdir() if re.fullmatch(r'\d+\.png', f.name)), key=lambda f: int(f.stem))
-    return [(small(f, n == 0), f'picture {int(f.stem)}' if named else caption(run, int(f.stem))) for n, f in enumerate(choose(files, run))]
+    files = choose(files, run) if run is not None else files[:MOST]
+    return [(small(f, n == 0), caption(run, int(f.stem)) if run is not None else f'picture {int(f.stem)}')
+            for n, f in enumerate(files)]
 
 
 def caption(run, number):

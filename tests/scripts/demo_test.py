@@ -27,7 +27,7 @@ out.mkdir(parents=True)
 if a[1] == 'fly':
     (out / 'groundtruth.txt').write_text('0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n')
 if '--view' in a:
-    pathlib.Path(a[a.index('--view') + 1]).mkdir(parents=True)
+    pathlib.Path(a[a.index('--view') + 1]).mkdir(parents=True, exist_ok=True)
 '''
 
 
@@ -63,7 +63,7 @@ class Demo(stand_in.StandInTest):
         self.assertEqual(len(flown), 2)
         for words in ('fly street', '--pace real', '--detector on', '--gate on', '--imu on', '--frames 450'):
             self.assertIn(words, flown[0])
-        self.assertIn('--view out/demo/view', flown[1])
+        self.assertIn('--view out/demo/seen/view', flown[1])
 
     def test_the_sequence_beside_it(self):
         (self.folder / 'place/shared/data/tum_fr1_xyz').mkdir(parents=True)

@@ -204,6 +204,21 @@ class Report(unittest.TestCase):
         self.assertEqual(page.figures[0, 'judged.false_sure'], [None, '–'])
         self.assertEqual(page.figures[0, 'tracked'][0], self.summaries[0]['tracked'])
 
+    def test_pictures_of_a_folder_that_is_named(self):
+        run, other = self.folder / 'threads', self.folder / 'pictures'
+        # Another run's: its own words; nobody's: numbers.
+        for view, words in ((self.folder / 'alone' / 'view', 'TRACKING, '), (other, 'picture 60')):
+            if view == other:
+                shutil.copytree(self.folder / 'alone' / 'view', other)
+            done = report(run, '--view', view, '--out', self.folder / 'seen')
+            self.assertEqual(done.returncode, 0, done.stderr)
+            text = (self.folder / 'seen/report.html').read_text()
+            self.assertIn(words, text[text.index('id="views"'):text.index('id="figures"')])
+            self.assertEqual(sum('jpeg' in a['src'][:20] for a in Page(text).images), 4)
+        done = report(run, '--view', self.folder / 'gone')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('there is no such folder of pictures', done.stderr)
+
     def test_wrong_frames_come_first(self):
         run = self.folder / 'wrong'
         shutil.copytree(self.folder / 'alone', run, ignore=shutil.ignore_patterns('view'))
