@@ -149,8 +149,8 @@ bool step(const std::vector<SeenTurn>& turns, const Gyroscope& gyroscope, Unknow
       Eigen::Matrix<double, 7, 1> e = Eigen::Matrix<double, 7, 1>::Zero();
       Vector3d more, less;
       e[k] = small;
-      whole = whole && left_of(turns[i], gyroscope, x->plus(e), &more) &&
-              left_of(turns[i], gyroscope, x->plus(-e), &less);
+      whole =
+          whole && left_of(turns[i], gyroscope, x->plus(e), &more) && left_of(turns[i], gyroscope, x->plus(-e), &less);
       if (whole) J.col(k) = (more - less) / (2 * small);
     }
     if (!whole) continue;
@@ -178,14 +178,15 @@ bool step(const std::vector<SeenTurn>& turns, const Gyroscope& gyroscope, Unknow
 rt::Result<CameraImuFit> fit_camera_imu(const std::vector<SeenTurn>& turns,
                                         const std::vector<hal::ImuSample>& readings) {
   if (turns.size() < kLeastTurns) {
-    return rt::Error{fmt::format("vision saw {} turns of the camera; {} at least are needed", turns.size(),
-                                 kLeastTurns)};
+    return rt::Error{
+        fmt::format("vision saw {} turns of the camera; {} at least are needed", turns.size(), kLeastTurns)};
   }
   const double second = second_axis(turns);
   if (second < kLeastRate) {
-    return rt::Error{fmt::format("the camera turned about one axis at most (about a second one by {:.3f} rad/s RMS, {} "
-                                 "at least are needed): turn it about all three",
-                                 second, kLeastRate)};
+    return rt::Error{
+        fmt::format("the camera turned about one axis at most (about a second one by {:.3f} rad/s RMS, {} "
+                    "at least are needed): turn it about all three",
+                    second, kLeastRate)};
   }
   const Gyroscope gyroscope(readings);
   Unknowns best;

@@ -24,8 +24,8 @@ struct CameraImuFit {
   Eigen::Vector3d gyro_bias_rad_s = Eigen::Vector3d::Zero();
   double turn_sigma_rad = 0;  ///< of the rotation's worst axis, one sigma
   double time_sigma_s = 0;
-  double rms_rad = 0;          ///< what is left of a turn, an axis
-  std::size_t turns = 0;       ///< that count
+  double rms_rad = 0;              ///< what is left of a turn, an axis
+  std::size_t turns = 0;           ///< that count
   std::size_t turns_left_out = 0;  ///< further off than their like, or where readings are missing
 };
 
@@ -35,6 +35,7 @@ constexpr double kMostTimeOffsetS = 0.1;
 /// Needs no guess: for each of a row of offsets the rotation that fits all turns best is known in closed form; from the
 /// best of them rotation, offset and bias together. Error: too few turns, or not about two axes at least, or none fits;
 /// in words.
-rt::Result<CameraImuFit> fit_camera_imu(const std::vector<SeenTurn>& turns, const std::vector<hal::ImuSample>& readings);
+rt::Result<CameraImuFit> fit_camera_imu(const std::vector<SeenTurn>& turns,
+                                        const std::vector<hal::ImuSample>& readings);
 
 }  // namespace godwit::app

@@ -63,7 +63,12 @@ int run_record(const RecordArguments& a, const std::atomic<bool>& stop) {
   fmt::print("{}{} pictures, {} missed by the driver, {} dropped, {} bad; {} samples, {} faults; {:.1f} s in {}\n",
              r.disc_full ? "the disc is nearly full: ended. " : "", r.pictures, r.missed, r.dropped, r.bad, r.samples,
              r.imu_faults, r.seconds, a.out);
-  return r.disc_full ? kExitFailed : kExitDone;
+  // Whoever records wants to know now, not when it is replayed.
+  const bool no_picture = camera.camera != nullptr && r.pictures == 0;
+  const bool no_sample = imu.value() != nullptr && r.samples == 0;
+  if (no_picture) fmt::print(stderr, "godwit: no picture came from {}\n", config.camera.device);
+  if (no_sample) fmt::print(stderr, "godwit: no sample came from {}\n", config.imu.device);
+  return r.disc_full || no_picture || no_sample ? kExitFailed : kExitDone;
 }
 
 }  // namespace godwit::app

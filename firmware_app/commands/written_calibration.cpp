@@ -11,7 +11,8 @@ namespace {
 
 /// Fewer and it is no measurement: as FrameRecord::tracked, which with an inertial sensor says more.
 constexpr std::int32_t kLeastFeatures = 30;
-/// Vision errs in a turn by as much whether it takes one picture or four; what a time offset does to it grows with them.
+/// Vision errs in a turn by as much whether it takes one picture or four; what a time offset does to it grows with
+/// them.
 constexpr rt::TimeNs kSpanNs = 140 * rt::kNsPerMs;
 /// More than this the written file says with the figures.
 constexpr double kSureTurnRad = 0.003, kSureTimeS = 1e-3;
@@ -51,11 +52,11 @@ rt::Result<void> write_camera_imu(const std::string& file, const hal::CameraCali
   if (!fitted) return fitted.error();
   const CameraImuFit& fit = fitted.value();
   constexpr double kDeg = 180 / M_PI;
-  std::string text =
-      fmt::format("camera and IMU, by {} turns ({} left out), {:.2f} mrad each: time offset {:+.2f} ms, give or take "
-                  "{:.2f}; rotation give or take {:.3f} degrees\n",
-                  fit.turns, fit.turns_left_out, 1e3 * fit.rms_rad, 1e3 * fit.time_offset_s, 1e3 * fit.time_sigma_s,
-                  kDeg * fit.turn_sigma_rad);
+  std::string text = fmt::format(
+      "camera and IMU, by {} turns ({} left out), {:.2f} mrad each: time offset {:+.2f} ms, give or take "
+      "{:.2f}; rotation give or take {:.3f} degrees\n",
+      fit.turns, fit.turns_left_out, 1e3 * fit.rms_rad, 1e3 * fit.time_offset_s, 1e3 * fit.time_sigma_s,
+      kDeg * fit.turn_sigma_rad);
   if (calibration.T_body_cam) {
     const double off = vo::so3_log(rotation(*calibration.T_body_cam).transpose() * fit.R_body_cam).norm();
     text += fmt::format("the rotation differs by {:.2f} degrees from that of the sequence's calibration\n", kDeg * off);
@@ -66,9 +67,11 @@ rt::Result<void> write_camera_imu(const std::string& file, const hal::CameraCali
     text += "not certain enough to fly by: turn the camera more, about all three axes\n";
   }
   hal::CameraCalibration out = calibration;
-  std::array<double, 16> T = out.T_body_cam.value_or(std::array<double, 16>{0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1});
+  std::array<double, 16> T =
+      out.T_body_cam.value_or(std::array<double, 16>{0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1});
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) T[static_cast<std::size_t>(4 * row + column)] = fit.R_body_cam(row, column);
+    for (int column = 0; column < 3; ++column)
+      T[static_cast<std::size_t>(4 * row + column)] = fit.R_body_cam(row, column);
   }
   out.T_body_cam = T;
   out.time_offset_s = fit.time_offset_s;

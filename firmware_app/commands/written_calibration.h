@@ -15,7 +15,8 @@
 
 namespace godwit::app {
 
-/// Gathers how the camera turned over some pictures, as vision saw it: the first and the last against the same keyframe.
+/// Gathers how the camera turned over some pictures, as vision saw it: the first and the last against the same
+/// keyframe.
 class TurnListener final : public FrameSink {
  public:
   rt::Result<void> take(const FrameRecord& record) override;

@@ -71,8 +71,8 @@ TEST_P(CalibrateCameraModels, AFolderOfDrawnBoardsGivesTheFocalLengthWithinTwoTh
   expect_like(written(), truth);
 }
 
-INSTANTIATE_TEST_SUITE_P(Models, CalibrateCameraModels, testing::Values(Distortion::kRadTan, Distortion::kKannalaBrandt4),
-                         [](const auto& model) {
+INSTANTIATE_TEST_SUITE_P(Models, CalibrateCameraModels,
+                         testing::Values(Distortion::kRadTan, Distortion::kKannalaBrandt4), [](const auto& model) {
                            return std::string(model.param == Distortion::kRadTan ? "radtan" : "equidistant");
                          });
 

@@ -36,8 +36,7 @@ struct Flown {
     constexpr double kStep = 0.005;
     for (int i = 0; i < static_cast<int>(seconds / kStep); ++i) {
       const double t = i * kStep;
-      const Vector3d rate =
-          vo::so3_log(attitude(t - 1e-4, axes).transpose() * attitude(t + 1e-4, axes)) / 2e-4 + bias;
+      const Vector3d rate = vo::so3_log(attitude(t - 1e-4, axes).transpose() * attitude(t + 1e-4, axes)) / 2e-4 + bias;
       hal::ImuSample s;
       s.t_ns = static_cast<rt::TimeNs>(std::llround(t * 1e9));
       for (int a = 0; a < 3; ++a) s.gyro_rad_s[static_cast<std::size_t>(a)] = rate[a] + 2e-3 * normal(random);

@@ -158,8 +158,8 @@ inline BoardPose shown(const Board& board, const hal::CameraCalibration& c, int 
               0.75 * reach * std::sin(around), far);
 }
 
-/// The camera swings before the board at 30 Hz, rows are exposed one after the other: where the board stands in a row of
-/// picture i.
+/// The camera swings before the board at 30 Hz, rows are exposed one after the other: where the board stands in a row
+/// of picture i.
 inline BoardPose swung(const Board& board, const hal::CameraCalibration& c, double readout_s, int i, int row) {
   const double t = i / 30.0 + readout_s * (static_cast<double>(row) / (c.height - 1) - 0.5);
   return pose(board, 15 + 12 * std::sin(5 * t), 15 * std::cos(4 * t), 10 * std::sin(3 * t), 0.25 * std::sin(6 * t),

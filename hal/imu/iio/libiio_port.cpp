@@ -124,7 +124,8 @@ class LibiioPort final : public IioPort {
   rt::Result<IioDescription> open() {
     close();
     context_ = iio_create_local_context();
-    if (context_ == nullptr) return rt::Error{"iio: " + std::string(std::strerror(errno))};
+    if (context_ == nullptr)
+      return rt::Error{"iio: this machine has no IIO devices (" + std::string(std::strerror(errno)) + ")"};
     device_ = iio_context_find_device(context_, name_.c_str());
     if (device_ == nullptr) return refuse("iio: no device " + name_ + "; " + listed());
     IioDescription out;
