@@ -19,14 +19,15 @@ constexpr const char* kCalibration =
 Outcome record(const TempFolder& folder, const std::string& config, const std::string& more) {
   write_file(folder / "camera.yaml", kCalibration);
   write_file(folder / "live.toml", config);
-  return godwit::test::run_command("cd '" + folder / "." + "' && '" GODWIT_TOOL "' record --config live.toml recording " +
-                                   more);
+  return godwit::test::run_command("cd '" + folder / "." +
+                                   "' && '" GODWIT_TOOL "' record --config live.toml recording " + more);
 }
 
 TEST(Record, ACameraThatIsNotThereIsToldAndNoRecording) {
   const TempFolder folder;
-  const Outcome o = record(
-      folder, "[camera]\nsource = \"v4l2\"\ndevice = \"/dev/nothing\"\ncalibration = \"camera.yaml\"\n", "--seconds 0.5");
+  const Outcome o =
+      record(folder, "[camera]\nsource = \"v4l2\"\ndevice = \"/dev/nothing\"\ncalibration = \"camera.yaml\"\n",
+             "--seconds 0.5");
   EXPECT_EQ(o.exit_code, 1) << o.text;
   EXPECT_THAT(o.text, HasSubstr("/dev/nothing: cannot be opened: No such file or directory"));
   EXPECT_THAT(o.text, HasSubstr("no picture came from /dev/nothing"));
