@@ -149,7 +149,8 @@ def latency(runs):
         ax.set(xscale='log', yscale='log', xlabel=title, ylabel='frames')
         ax.set_ylim(0.7, 4 * ax.get_ylim()[1])  # room for the legend
         ax.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda x, _: f'{x:g}'))
-        ax.legend(fontsize=8, loc='upper right', ncols=3, handlelength=1.4, columnspacing=1)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(fontsize=8, loc='upper right', ncols=3, handlelength=1.4, columnspacing=1)
     stage_bars(axes[-1], runs)
     return fig
 
@@ -249,7 +250,8 @@ def consistency(runs, judged):
     left.set_xlim(0, end_of(runs))
     left.axhline(1, color='#3b4048', lw=0.9)
     left.set(yscale='log', xlabel='time [s]', title='squared error over its variance, a degree of freedom (1: as told)')
-    left.legend(fontsize=8, ncols=2)
+    if left.get_legend_handles_labels()[0]:
+        left.legend(fontsize=8, ncols=2)
     right.plot([0, 100], [0, 100], color='#3b4048', lw=0.9)
     right.set(xlim=(0, 100), ylim=(0, 100), xlabel='told [%]', ylabel='found [%]', title='errors inside the region told')
     right.set_aspect('equal')

@@ -6,6 +6,7 @@ not those of frames.csv is refused as well: a report must not show figures of tw
 import csv
 import dataclasses
 import json
+import math
 import pathlib
 
 import numpy as np
@@ -77,7 +78,23 @@ def read_summary(file):
     for key in ('frames', 'processed', 'tracked', 'maps'):
         if not isinstance(summary[key], int) or summary[key] < 0:
             raise RunError(f'{file}: "{key}" is no count: {summary[key]!r}')
+    for key in ('ms', 'thread_cpu_ms', 'proc_cpu_ms', 'age_ms'):
+        of = summary.get(key, {})
+        if not isinstance(of, dict) or not all(is_number(v) for v in of.values()):
+            raise RunError(f'{file}: "{key}" holds no figures: {str(of)[:60]}')
+    events = summary.get('events', [])
+    if not isinstance(events, list) or not all(is_event(e) for e in events):
+        raise RunError(f'{file}: "events" is no list of events')
     return summary
+
+
+def is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def is_event(value):
+    """{t, what, before, which, why, value, limit}: numbers are numbers."""
+    return isinstance(value, dict) and is_number(value.get('t')) and all(is_number(value.get(k, 0)) for k in ('value', 'limit'))
 
 
 def read_frames(file):
@@ -94,9 +111,12 @@ def read_frames(file):
         if row['tracked'] not in ('0', '1'):
             raise RunError(f'{file}:{number}: tracked is 0 or 1, not "{row["tracked"]}"')
         try:
-            float(row['t']), float(row['ms'])
-        except ValueError as e:
+            # Empty: not known for this frame.
+            values = [float(v) for k, v in row.items() if v and (k in ('t', 'ms', 'features') or k.endswith('_ms'))]
+        except (ValueError, TypeError, AttributeError) as e:
             raise RunError(f'{file}:{number}: {e}') from e
+        if not row['t'] or not all(map(math.isfinite, values)):
+            raise RunError(f'{file}:{number}: no finite number')
     return rows
 
 
@@ -111,14 +131,32 @@ def read_poses(file):
             raise RunError(f'{file}:{number}: {e}') from e
         if len(row) != 9:
             raise RunError(f'{file}:{number}: {len(row)} numbers, not 9 (t tx ty tz qx qy qz qw map_id)')
+        if not all(map(math.isfinite, row)) or not any(row[4:8]):
+            raise RunError(f'{file}:{number}: no pose: not finite, or a quaternion of zeros')
         rows.append(row)
     return np.array(rows) if rows else np.zeros((0, 9))
 
 
 def is_metric(file):
-    """Whether pose.csv holds poses with a told scale."""
+    """Looks pose.csv over; whether it holds poses with a told scale."""
+    metric = False
     with open(file, newline='', encoding='utf-8') as f:
-        return any(row.get('scale_sigma') for row in csv.DictReader(f))
+        rows = csv.reader(f)
+        header = next(rows, [])
+        if 't' not in header:
+            raise RunError(f'{file}: not the poses of a run: it has no column "t"')
+        scale = header.index('scale_sigma') if 'scale_sigma' in header else None
+        for number, row in enumerate(rows, 2):
+            if len(row) != len(header):
+                raise RunError(f'{file}:{number}: {len(row)} fields, not {len(header)}: the line is cut off')
+            try:
+                finite = all(math.isfinite(float(v)) for name, v in zip(header, row) if v and name != 'state')
+            except ValueError as e:
+                raise RunError(f'{file}:{number}: {e}') from e
+            if not finite:
+                raise RunError(f'{file}:{number}: not finite')
+            metric = metric or scale is not None and row[scale] != ''
+    return metric
 
 
 def read(folder, name=None):

@@ -9,6 +9,7 @@ import io
 import json
 import os
 import pathlib
+import random
 import re
 import shutil
 import subprocess
@@ -219,6 +220,25 @@ class Report(unittest.TestCase):
         self.assertEqual(done.returncode, 2)
         self.assertIn('there is no such folder of pictures', done.stderr)
 
+    def test_damaged_files_are_refused_or_shown_never_a_trace(self):
+        run, random_numbers = self.folder / 'damaged', random.Random(1)
+        words = ('nan', '-inf', '1e999', '', 'x', '0', '\x00', '-1', '""', '[', 'null')
+        for turn in range(12):
+            shutil.rmtree(run, ignore_errors=True)
+            shutil.copytree(self.folder / 'metric', run)
+            file = run / ('pose.csv', 'trajectory.tum', 'frames.csv', 'summary.json')[turn % 4]
+            pieces = re.split(r'([, \n])', file.read_text())
+            if turn < 4:
+                pieces = pieces[:random_numbers.randrange(len(pieces))]
+            else:
+                for _ in range(3):
+                    pieces[2 * random_numbers.randrange(len(pieces) // 2)] = random_numbers.choice(words)
+            file.write_text(''.join(pieces))
+            done = report(run)
+            self.assertIn(done.returncode, (0, 2), done.stderr)
+            self.assertNotIn('Traceback', done.stderr, (turn, file.name))
+            self.assertEqual(len(done.stderr.splitlines()), 1 if done.returncode else 0, done.stderr)
+
     def test_wrong_frames_come_first(self):
         run = self.folder / 'wrong'
         shutil.copytree(self.folder / 'alone', run, ignore=shutil.ignore_patterns('view'))
@@ -302,6 +322,20 @@ class Refused(unittest.TestCase):
     def test_summary_that_is_no_table(self):
         self.refused('not the summary of a run', summary_json='[1, 2]')
 
+    def test_events_that_are_none(self):
+        summary = json.loads(self.files['summary.json'])
+        self.refused('"events" is no list of events', summary_json=json.dumps(summary | {'events': [1]}))
+
+    def test_figures_that_are_none(self):
+        summary = json.loads(self.files['summary.json'])
+        self.refused('"ms" holds no figures', summary_json=json.dumps(summary | {'ms': {'median': 'fast'}}))
+
+    def test_a_pose_that_is_none(self):
+        frames = self.files['frames.csv'].replace(',0,,INIT', ',1,1,INIT')
+        summary = json.loads(self.files['summary.json'])
+        self.refused('no pose: not finite', frames_csv=frames, trajectory_tum='0 nan 0 0 0 0 0 1 1\n',
+                     summary_json=json.dumps(summary | {'tracked': 1}))
+
     def test_frames_of_something_else(self):
         self.refused('no column "ms"', frames_csv='t,x\n1,2\n')
 
@@ -325,7 +359,7 @@ class Refused(unittest.TestCase):
         self.told('cannot be read', self.run)
 
     def test_truth_that_is_not_there(self):
-        self.refused('the truth does not fit, or cannot be read', '--truth', self.run / 'gone.txt')
+        self.refused('cannot be judged by the truth', '--truth', self.run / 'gone.txt')
 
     def test_one_bad_folder_among_good_ones(self):
         self.told('there is no such folder', self.run / 'gone', self.run)
