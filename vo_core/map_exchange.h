@@ -109,6 +109,7 @@ struct MapDelta {
   static constexpr int kMaxNewFeatures = 1024;
   static constexpr int kMaxMovedPoints = 4000;
   static constexpr int kMaxRemoved = 512;
+  static constexpr int kMaxRemovedKeyframes = 8;
 
   std::uint32_t epoch = 0;
   std::uint32_t sequence = 0;            ///< frame counter of the message that caused it
@@ -122,7 +123,7 @@ struct MapDelta {
   int new_feature_count = 0;
   std::array<DeltaObservation, kMaxRemoved> removed_observations;
   std::array<PointHandle, kMaxRemoved> removed_points;
-  std::array<std::uint32_t, 8> removed_keyframes;
+  std::array<std::uint32_t, kMaxRemovedKeyframes> removed_keyframes;
   std::array<DeltaMovedKeyframe, kMaxKeyframes> moved_keyframes;
   std::array<DeltaNewPoint, kMaxMovedPoints> moved_points;
   std::array<DeltaNewPoint, kMaxNewPoints> new_points;

@@ -181,9 +181,9 @@ void Mapper::adjust(int place) {
   }
 }
 
-void Mapper::forget_keyframes(int newest) {
-  if (map_.keyframe_count() <= options_.max_keyframes || delta_->removed_keyframe_count >= 8) return;
-  // The least useful: most of its points are seen by at least three others; if none stands out, the farthest.
+int Mapper::least_useful_keyframe(int newest, bool points) const {
+  // Most of its points are seen by at least three others; if none stands out, the farthest. Where it is the points that
+  // need room, what others see, too, frees none: then the farthest goes.
   const Vec3 here = map_.keyframe(newest).position();
   int worst = -1;
   double worst_score = -1.0;
@@ -199,19 +199,28 @@ void Mapper::forget_keyframes(int newest) {
       if (p->observation_count >= 5) ++redundant;
     }
     const double distance = (kf.position() - here).norm() / map_.keyframe(newest).median_depth;
-    const double score = static_cast<double>(redundant) / (seen + 1) + 0.2 * distance;
+    const double score = points ? distance : static_cast<double>(redundant) / (seen + 1) + 0.2 * distance;
     if (score > worst_score) {
       worst_score = score;
       worst = k;
     }
   }
-  if (worst < 0) return;
-  for (Seed& s : *seeds_)
-    if (s.active && s.place == worst) s.active = false;
-  const Keyframe& kf = map_.keyframe(worst);
-  delta_->removed_keyframes[delta_->removed_keyframe_count++] = kf.id;
-  releases_.add(kf.slot, 1);
-  map_.remove_keyframe(worst);
+  return worst;
+}
+
+void Mapper::forget_keyframes(int newest) {
+  while (delta_->removed_keyframe_count < MapDelta::kMaxRemovedKeyframes) {
+    const bool points = kMaxPoints - map_.point_count() < options_.spare_points;
+    if (!points && map_.keyframe_count() <= options_.max_keyframes) return;
+    const int place = least_useful_keyframe(newest, points);
+    if (place < 0) return;
+    for (Seed& s : *seeds_)
+      if (s.active && s.place == place) s.active = false;
+    const Keyframe& kf = map_.keyframe(place);
+    delta_->removed_keyframes[delta_->removed_keyframe_count++] = kf.id;
+    releases_.add(kf.slot, 1);
+    map_.remove_keyframe(place);
+  }
 }
 
 }  // namespace godwit::vo

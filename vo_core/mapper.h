@@ -33,6 +33,7 @@ struct MapperOptions {
   int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
   int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
   int max_keyframes = 56;           ///< above: the least useful keyframe is forgotten
+  int spare_points = 600;           ///< with less room: the farthest is, for a full map would take in nothing new
   BundleAdjusterOptions bundle;
   RollingShutter shutter;
 };
@@ -92,6 +93,7 @@ class Mapper {
   void find_observations(PointHandle h, int host);
   void adjust(int place);
   void forget_keyframes(int newest);
+  int least_useful_keyframe(int newest, bool points) const;
   Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
   void remove_point(PointHandle h);
   void remove_observation(int place, int feature);
