@@ -138,14 +138,18 @@ hal::GnssStatus SimGnss::next(hal::GnssSample* sample, rt::TimeNs) {
 }
 
 rt::Result<void> check_clearance(const Flight& flight) {
+  const auto told = [&](double t, const std::string& what, const Vec3& p) {
+    return rt::Error{"scenario " + flight.scenario().name + ", seed " + std::to_string(flight.seed()) + ": at " +
+                     std::to_string(t) + " s the aircraft would be " + what + " at (" + std::to_string(p.x()) + ", " +
+                     std::to_string(p.y()) + ")"};
+  };
+  Vec3 before = flight.trajectory().at(0).position_m;
   for (double t = 0; t < flight.duration_s(); t += 0.1) {
     const Vec3 p = flight.trajectory().at(t).position_m;
     const double below = flight.world().surface_height(p.x(), p.y());
-    if (p.z() < below + 0.1) {
-      return rt::Error{"scenario " + flight.scenario().name + ", seed " + std::to_string(flight.seed()) + ": at " +
-                       std::to_string(t) + " s the aircraft would be " + std::to_string(below - p.z()) +
-                       " m below what stands at (" + std::to_string(p.x()) + ", " + std::to_string(p.y()) + ")"};
-    }
+    if (p.z() < below + 0.1) return told(t, std::to_string(below - p.z()) + " m below what stands", p);
+    if (flight.world().way_is_barred(before, p)) return told(t, "in the middle of something thin", p);
+    before = p;
   }
   return {};
 }

@@ -548,17 +548,21 @@ void Layout::corridor() {
       m->quad(l + up, r + up, r, l, cover);
       const double what = rng_.uniform();
       const Vec3 out = 0.02 * inside;
+      // The last piece may be too short for a door, which would then hang in the air behind the wall's end.
+      const bool whole = s + 2.0 <= length + 0.01;
       if (what < 0.3) {
         const double w = 0.45, x = 1.0;
-        m->quad(l + (x - w) * along + Vec3(0, 0, 2.1) + out, l + (x + w) * along + Vec3(0, 0, 2.1) + out,
-                l + (x + w) * along + out, l + (x - w) * along + out,
-                {kTexDoor, 0, rng_.uniform(0.6, 1.2), 0, 0, false});
+        const Cover door{kTexDoor, 0, rng_.uniform(0.6, 1.2), 0, 0, false};
+        if (whole)
+          m->quad(l + (x - w) * along + Vec3(0, 0, 2.1) + out, l + (x + w) * along + Vec3(0, 0, 2.1) + out,
+                  l + (x + w) * along + out, l + (x - w) * along + out, door);
       } else if (what < 0.75) {
         const double w = rng_.uniform(0.3, 0.7), h = rng_.uniform(0.3, 0.6), x = rng_.uniform(0.7, 1.3),
                      z = rng_.uniform(1.2, 1.8);
-        m->quad(l + (x - w) * along + Vec3(0, 0, z + h) + out, l + (x + w) * along + Vec3(0, 0, z + h) + out,
-                l + (x + w) * along + Vec3(0, 0, z - h) + out, l + (x - w) * along + Vec3(0, 0, z - h) + out,
-                {kTexPoster0 + rng_.below(4), 0, rng_.uniform(0.8, 1.1), 0, 0, false});
+        const Cover poster{kTexPoster0 + rng_.below(4), 0, rng_.uniform(0.8, 1.1), 0, 0, false};
+        if (whole)
+          m->quad(l + (x - w) * along + Vec3(0, 0, z + h) + out, l + (x + w) * along + Vec3(0, 0, z + h) + out,
+                  l + (x + w) * along + Vec3(0, 0, z - h) + out, l + (x - w) * along + Vec3(0, 0, z - h) + out, poster);
       }
       m->quad(l + Vec3(0, 0, 0.12) + out, r + Vec3(0, 0, 0.12) + out, r + out, l + out,
               {kTexConcrete, kConcreteTexelsPerM, 0.4, 0, 0, false});

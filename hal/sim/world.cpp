@@ -208,4 +208,31 @@ double World::surface_height(double x, double y) const {
   return top;
 }
 
+bool World::way_is_barred(const Vec3& from, const Vec3& to) const {
+  const Vec3 way = to - from;
+  for (const StaticObject& object : objects_) {
+    // The world is periodic: the copy of the thing that is nearest.
+    Vec3 shift = from - object.centre.cast<double>();
+    shift = Vec3(shift.x() - wrapped(shift.x()), shift.y() - wrapped(shift.y()), 0);
+    const Vec3 a = from - shift;
+    if ((a - object.centre.cast<double>()).norm() > object.radius + way.norm()) continue;
+    for (std::uint32_t i = object.first_triangle; i < object.first_triangle + object.triangles; ++i) {
+      const MeshTriangle& triangle = mesh_.triangles[i];
+      const Vec3 p = mesh_.vertices[triangle.vertex[0]].cast<double>();
+      const Vec3 u = mesh_.vertices[triangle.vertex[1]].cast<double>() - p;
+      const Vec3 v = mesh_.vertices[triangle.vertex[2]].cast<double>() - p;
+      // a + s way = p + x u + y v (Moeller and Trumbore 1997).
+      const Vec3 across = way.cross(v);
+      const double det = u.dot(across);
+      if (std::abs(det) < 1e-12) continue;
+      const Vec3 from_p = a - p;
+      const double x = from_p.dot(across) / det;
+      const double y = way.dot(from_p.cross(u)) / det;
+      const double s = v.dot(from_p.cross(u)) / det;
+      if (x >= 0 && y >= 0 && x + y <= 1 && s >= 0 && s <= 1) return true;
+    }
+  }
+  return false;
+}
+
 }  // namespace godwit::sim

@@ -89,6 +89,8 @@ class World {
   const Vec3& sun() const { return sun_; }
   /// Height of the highest still thing at a place, the ground included; what a rangefinder looking down meets.
   double surface_height(double x, double y) const;
+  /// Whether the way from one place to another [m, world] goes through a face of a still thing.
+  bool way_is_barred(const Vec3& from, const Vec3& to) const;
 
  private:
   friend class Layout;
