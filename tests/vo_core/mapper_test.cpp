@@ -102,8 +102,33 @@ class MapperTest : public testing::Test {
   std::vector<std::unique_ptr<test::Pyramid>> pyramids_;
   std::unique_ptr<MapChannel> channel_ = std::make_unique<MapChannel>();
   MapDelta answer_;
-  Mapper mapper_{camera(), MapperOptions{}, channel_.get()};
+  MapperOptions options_;
+  Mapper mapper_{camera(), options_, channel_.get()};
 };
+
+class MapperWithHardlyAnyRoom : public MapperTest {
+ protected:
+  MapperWithHardlyAnyRoom() { options_.spare_points = kMaxPoints - 100; }
+  void SetUp() override {
+    std::destroy_at(&mapper_);
+    std::construct_at(&mapper_, camera(), options_, channel_.get());
+    MapperTest::SetUp();
+  }
+};
+
+// A map that is full takes in no new points, and what flies on sees less and less of it: every flight longer than that
+// ended there.
+TEST_F(MapperWithHardlyAnyRoom, TheFarthestKeyframesGoBeforeTheMapIsFull) {
+  for (int id = 1; id <= 7; ++id) keyframe(id, pose_of(2 * id), 0.3);
+  EXPECT_EQ(answer_.removed_keyframe_count, 0) << "the first two and the newest stay";
+  keyframe(8, pose_of(16), 0.3);
+  ASSERT_EQ(answer_.removed_keyframe_count, 1);
+  EXPECT_EQ(answer_.removed_keyframes[0], 3u);
+  EXPECT_EQ(mapper_.map().keyframe_count(), 7);
+  keyframe(9, pose_of(18), 0.3);
+  ASSERT_EQ(answer_.removed_keyframe_count, 1);
+  EXPECT_EQ(answer_.removed_keyframes[0], 4u);
+}
 
 TEST_F(MapperTest, AKeyframeHangsOnItsAnchorWhereverThatHasMoved) {
   keyframe(1, pose_of(0), 0.7);
