@@ -1,5 +1,5 @@
-// godwit-record-yardstick: whether the recorder keeps up with a camera: pictures of a sequence, held in memory, at 60 Hz
-// into a folder, and how many were dropped.
+// godwit-record-yardstick: whether the recorder keeps up with a camera: pictures of a sequence, held in memory, at 60
+// Hz into a folder, and how many were dropped.
 //   godwit-record-yardstick SEQUENCE OUT [SECONDS]
 #include <cstdio>
 #include <cstdlib>
@@ -72,9 +72,10 @@ int main(int argc, char** argv) {
   const auto done = app::record_devices(&camera, nullptr, options, {}, stop);
   if (!done) return std::printf("%s\n", done.error().message.c_str()), 1;
   const app::Recorded& r = done.value();
-  std::printf("%dx%d at 60 Hz for %.1f s: %llu pictures, %llu dropped, %llu missed; %.1f ms of one processor a picture\n",
-              width, height, r.seconds, static_cast<unsigned long long>(r.pictures),
-              static_cast<unsigned long long>(r.dropped), static_cast<unsigned long long>(r.missed),
-              1e3 * static_cast<double>(std::clock()) / CLOCKS_PER_SEC / static_cast<double>(r.pictures));
+  std::printf(
+      "%dx%d at 60 Hz for %.1f s: %llu pictures, %llu dropped, %llu missed; %.1f ms of one processor a picture\n",
+      width, height, r.seconds, static_cast<unsigned long long>(r.pictures), static_cast<unsigned long long>(r.dropped),
+      static_cast<unsigned long long>(r.missed),
+      1e3 * static_cast<double>(std::clock()) / CLOCKS_PER_SEC / static_cast<double>(r.pictures));
   return r.dropped + r.missed == 0 ? 0 : 1;
 }
