@@ -5,6 +5,7 @@
 
 #include "hal/atomic_file.h"
 #include "hal/camera/calibration_toml.h"
+#include "vo_core/geometry.h"
 
 namespace godwit::app {
 namespace {
