@@ -186,4 +186,18 @@ std::vector<BoardPoint> find_board(const Board& board, const rt::ImageView& grey
   return out;
 }
 
+std::optional<double> mean_distance(const BoardView& a, const BoardView& b) {
+  double sum = 0;
+  int shared = 0;
+  auto at = b.points.begin();
+  for (const BoardPoint& p : a.points) {
+    while (at != b.points.end() && at->id < p.id) ++at;
+    if (at == b.points.end() || at->id != p.id) continue;
+    sum += std::hypot(p.x - at->x, p.y - at->y);
+    ++shared;
+  }
+  if (shared == 0) return std::nullopt;
+  return sum / shared;
+}
+
 }  // namespace godwit::app

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -48,5 +49,9 @@ struct BoardView {
 /// Finds the board; in the order of the points' numbers. Tags need not all be seen, squares must be. Empty: it is not
 /// there. Allocates.
 std::vector<BoardPoint> find_board(const Board& board, const rt::ImageView& grey);
+
+/// Mean distance of the points that both pictures show [pixels]; nothing: they share none. Points in the order of their
+/// numbers.
+std::optional<double> mean_distance(const BoardView& a, const BoardView& b);
 
 }  // namespace godwit::app

@@ -21,20 +21,6 @@ struct Solution {
   std::vector<Pose> poses;
 };
 
-/// How far two pictures of the board are apart: mean distance of the points they share [pixels].
-double apart(const BoardView& a, const BoardView& b) {
-  double sum = 0;
-  int shared = 0;
-  auto at = b.points.begin();
-  for (const BoardPoint& p : a.points) {
-    while (at != b.points.end() && at->id < p.id) ++at;
-    if (at == b.points.end() || at->id != p.id) continue;
-    sum += std::hypot(p.x - at->x, p.y - at->y);
-    ++shared;
-  }
-  return shared == 0 ? 1e9 : sum / shared;
-}
-
 /// Those that differ most from one another, the fullest first.
 std::vector<BoardView> choose(std::vector<BoardView> views) {
   std::erase_if(views, [](const BoardView& v) { return v.points.size() < kLeastPoints; });
@@ -47,7 +33,8 @@ std::vector<BoardView> choose(std::vector<BoardView> views) {
   }
   while (out.size() < kMostCalibrationViews) {
     out.push_back(views[next]);
-    for (std::size_t i = 0; i < views.size(); ++i) distance[i] = std::min(distance[i], apart(views[i], views[next]));
+    for (std::size_t i = 0; i < views.size(); ++i)
+      distance[i] = std::min(distance[i], mean_distance(views[i], views[next]).value_or(1e9));
     next = static_cast<std::size_t>(std::max_element(distance.begin(), distance.end()) - distance.begin());
     if (distance[next] <= 0) break;
   }

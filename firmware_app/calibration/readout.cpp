@@ -54,17 +54,9 @@ cv::Mat beside_pose(const cv::Mat& jacobian, const cv::Mat& v) {
 std::optional<double> speed(const BoardView& a, const BoardView& b, double max_gap_s) {
   const double dt_s = std::abs(rt::to_seconds(b.t_ns - a.t_ns));
   if (a.t_ns == 0 || b.t_ns == 0 || !(dt_s > 0) || dt_s > max_gap_s) return std::nullopt;
-  double sum = 0;
-  int shared = 0;
-  auto at = b.points.begin();
-  for (const BoardPoint& p : a.points) {
-    while (at != b.points.end() && at->id < p.id) ++at;
-    if (at == b.points.end() || at->id != p.id) continue;
-    sum += std::hypot(p.x - at->x, p.y - at->y);
-    ++shared;
-  }
-  if (shared == 0) return std::nullopt;
-  return sum / shared / dt_s;
+  const std::optional<double> moved = mean_distance(a, b);
+  if (!moved) return std::nullopt;
+  return *moved / dt_s;
 }
 
 /// Against those before and behind; a picture without such is taken to be still.
