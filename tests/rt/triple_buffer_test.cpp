@@ -25,16 +25,16 @@ TEST(TripleBuffer, GivesTheLatestOnce) {
   EXPECT_EQ(value, 4);
 }
 
-struct Wide {
+struct WideValue {
   std::uint64_t word[16];
 };
 
 TEST(TripleBufferStress, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
   const std::uint64_t kValues = test::stress_items();
-  TripleBuffer<Wide> buffer;
+  TripleBuffer<WideValue> buffer;
   std::thread writer([&] {
     for (std::uint64_t i = 1; i <= kValues; ++i) {
-      Wide value{};
+      WideValue value{};
       for (std::uint64_t& w : value.word) w = i;
       buffer.write(value);
     }
@@ -42,7 +42,7 @@ TEST(TripleBufferStress, AcrossThreadsValuesAreWholeRiseAndTheLastArrives) {
   std::uint64_t last = 0, torn = 0, backwards = 0;
   test::Patience patience;
   while (last < kValues) {
-    Wide value{};
+    WideValue value{};
     if (!buffer.read(&value)) {
       patience.wait();
       continue;
