@@ -67,31 +67,108 @@ rt::Result<void> run(const std::vector<std::string>& words) {
                                      : fmt::format("{}: ended by signal {}", words[0], WTERMSIG(status))};
 }
 
-/// The figures that are compared, of one side's JSON: name -> value. Error: not the JSON of a latency run.
-rt::Result<std::map<std::string, double>> figures_of(const std::string& file) {
-  std::ifstream in(file);
-  const Json run = Json::parse(in, nullptr, false);
+/// Fewer detections of a kind in a flight say nothing of what one costs.
+constexpr std::size_t kEnoughDetections = 5;
+constexpr std::size_t kLeastPairs = 3;
+constexpr std::array<const char*, 2> kKinds = {"full", "small"};
+
+rt::Result<Json> flights_of(const std::string& text) {
+  Json run = Json::parse(text, nullptr, false);
   if (run.is_discarded() || run.value("kind", "") != "latency" || !run.contains("flights")) {
-    return rt::Error{file + ": not the figures of a latency run"};
+    return rt::Error{"not the figures of a latency run"};
   }
-  std::map<std::string, double> out;
   for (const Json& f : run["flights"]) {
-    const std::string on = f.value("detector", false) ? "detector on: " : "detector off: ";
-    out[on + "tracker CPU time, median"] = f["tracker_cpu_ms"]["median"].get<double>();
-    out[on + "tracker CPU time, p99"] = f["tracker_cpu_ms"]["p99"].get<double>();
-    double percent = 0;
-    for (const Json& t : f["threads"]) percent += t["cpu_percent"].get<double>();
-    out[on + "CPU time of all threads"] = percent;
-    out[on + "own share of the age at pose, median"] = f["own_at_pose_ms"]["median"].get<double>();
+    if (!f.contains("detection_cpu_ms")) return rt::Error{"has no CPU time of a detection: an older build's figures?"};
+  }
+  return run["flights"];
+}
+
+/// What a flight's threads cost [ms of CPU time]: the detector's by detection, since how many there are in a flight is
+/// a matter of how busy the machine is, and the others' by picture.
+struct Cost {
+  double others = 0;                    ///< a picture
+  std::array<double, 2> detection{};    ///< of either kind; 0: too few to tell
+  std::array<double, 2> per_picture{};  ///< detections of that kind a picture
+};
+
+Cost cost_of(const Json& f) {
+  Cost out;
+  const auto pictures = f["frames"]["processed"].get<double>();
+  for (const Json& t : f["threads"]) {
+    if (t["name"] == "gw-detector") continue;
+    out.others += t["cpu_percent"].get<double>() / 100 * f["seconds"].get<double>() * 1e3 / pictures;
+  }
+  for (std::size_t kind = 0; kind < kKinds.size(); ++kind) {
+    const Json& d = f["detection_cpu_ms"][kKinds[kind]];
+    if (d["samples"].get<std::size_t>() < kEnoughDetections) continue;
+    out.detection[kind] = d["median"].get<double>();
+    out.per_picture[kind] = d["samples"].get<double>() / pictures;
   }
   return out;
 }
 
+void add_flights(const Json& a, const Json& b, PairFigures* out) {
+  const bool detector = a.value("detector", false);
+  const std::string on = detector ? "detector on: " : "detector off: ";
+  const auto add = [&](const std::string& name, double of_a, double of_b) { (*out)[on + name] = {of_a, of_b}; };
+  const auto both = [&](const std::string& name, const char* key, const char* figure) {
+    add(name, a[key][figure].get<double>(), b[key][figure].get<double>());
+  };
+  both("tracker CPU time, median", "tracker_cpu_ms", "median");
+  both("tracker CPU time, p99", "tracker_cpu_ms", "p99");
+  both("own share of the age at pose, median", "own_at_pose_ms", "median");
+  const Cost cost_a = cost_of(a), cost_b = cost_of(b);
+  double all_a = cost_a.others, all_b = cost_b.others;
+  bool alike = !detector;
+  for (std::size_t kind = 0; kind < kKinds.size(); ++kind) {
+    if (!(cost_a.detection[kind] > 0) || !(cost_b.detection[kind] > 0)) continue;
+    alike = true;
+    add(std::string("a detection's CPU time, ") + kKinds[kind] + " input, median", cost_a.detection[kind],
+        cost_b.detection[kind]);
+    // As many on both sides: what the pair had on average.
+    const double count = (cost_a.per_picture[kind] + cost_b.per_picture[kind]) / 2;
+    all_a += count * cost_a.detection[kind];
+    all_b += count * cost_b.detection[kind];
+  }
+  if (alike) add("CPU time of all threads, as many detections", all_a, all_b);
+  // None at all where the ladder has shed the detector: that is no fault of the comparison.
+  if (detector && a["detections"]["done"] > 0 && b["detections"]["done"] > 0) {
+    add("detections a second", a["detections"]["done"].get<double>() / a["seconds"].get<double>(),
+        b["detections"]["done"].get<double>() / b["seconds"].get<double>());
+  }
+}
+
+rt::Result<std::string> text_of(const std::string& file) {
+  std::ifstream in(file);
+  std::string text{std::istreambuf_iterator<char>(in), {}};
+  if (!in) return rt::Error{file + ": cannot be read"};
+  return text;
+}
+
 }  // namespace
+
+rt::Result<PairFigures> pair_figures(const std::string& a, const std::string& b) {
+  const auto of_a = flights_of(a), of_b = flights_of(b);
+  if (!of_a) return rt::Error{"A: " + of_a.error().message};
+  if (!of_b) return rt::Error{"B: " + of_b.error().message};
+  if (of_a.value().size() != of_b.value().size()) return rt::Error{"A and B did not fly the same number of flights"};
+  PairFigures out;
+  for (std::size_t i = 0; i < of_a.value().size(); ++i) {
+    if (of_a.value()[i].value("detector", false) != of_b.value()[i].value("detector", false)) {
+      return rt::Error{"A and B did not fly with and without the detector in the same order"};
+    }
+    add_flights(of_a.value()[i], of_b.value()[i], &out);
+  }
+  for (const auto& [name, values] : out) {
+    if (!(values.first > 0) || !(values.second > 0)) return rt::Error{"'" + name + "' is not above zero on both sides"};
+  }
+  return out;
+}
 
 Ratio ratio_of(const std::string& figure, const std::vector<std::pair<double, double>>& pairs) {
   Ratio out;
   out.figure = figure;
+  out.pairs = pairs.size();
   std::vector<double> ratios;
   for (const auto& [a, b] : pairs) ratios.push_back(a / b);
   std::sort(ratios.begin(), ratios.end());
@@ -118,37 +195,39 @@ rt::Result<Comparison> compare(const Options& o, const std::atomic<bool>& stop) 
   } const remove{folder};
   std::map<std::string, std::vector<std::pair<double, double>>> pairs;
   for (std::int64_t pair = 0; pair < o.pairs; ++pair) {
-    std::array<std::map<std::string, double>, 2> figures;
+    std::array<std::string, 2> told;
     for (int turn = 0; turn < 2; ++turn) {
       // A B, B A, A B ..
       const auto side = static_cast<std::size_t>((turn + pair) % 2);
       const std::string file = folder + "/" + std::to_string(side) + ".json";
       if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};
       if (const auto flown = run(command_of(o, o.compare[side], file)); !flown) return flown.error();
-      auto read = figures_of(file);
+      auto read = text_of(file);
       if (!read) return read.error();
-      figures[side] = std::move(read).value();
+      told[side] = std::move(read).value();
     }
-    for (const auto& [name, a] : figures[0]) {
-      const auto b = figures[1].find(name);
-      if (b == figures[1].end()) return rt::Error{o.compare[1] + ": has no figure '" + name + "'"};
-      if (!(a > 0) || !(b->second > 0)) return rt::Error{"'" + name + "' is not above zero on both sides"};
-      pairs[name].emplace_back(a, b->second);
-    }
+    const auto figures = pair_figures(told[0], told[1]);
+    if (!figures) return figures.error();
+    for (const auto& [name, values] : figures.value()) pairs[name].push_back(values);
     if (!o.quiet) fmt::print(stderr, "godwit-latency: pair {} of {}\n", pair + 1, o.pairs);
   }
   Comparison out;
   out.pairs = o.pairs;
-  for (const auto& [name, values] : pairs) out.ratios.push_back(ratio_of(name, values));
+  // What one side shed in a pair is not compared there; of too few pairs nothing is told.
+  for (const auto& [name, values] : pairs) {
+    if (values.size() >= kLeastPairs) out.ratios.push_back(ratio_of(name, values));
+  }
   return out;
 }
 
 std::string table(const Options& o, const Comparison& c) {
-  std::string out = fmt::format("A = {}\nB = {}\n{} pairs on {}, {} s each flight\n  {:<52} {:>7} {:>8} {:>7} {:>7}\n",
-                                o.compare[0], o.compare[1], c.pairs, o.live ? "a live camera" : o.input, o.seconds,
-                                "A / B", "median", "+-", "least", "most");
+  std::string out =
+      fmt::format("A = {}\nB = {}\n{} pairs on {}, {} s each flight\n  {:<56} {:>7} {:>8} {:>7} {:>7} {:>6}\n",
+                  o.compare[0], o.compare[1], c.pairs, o.live ? "a live camera" : o.input, o.seconds, "A / B", "median",
+                  "+-", "least", "most", "pairs");
   for (const Ratio& r : c.ratios) {
-    out += fmt::format("  {:<52} {:7.3f} {:8.3f} {:7.3f} {:7.3f}\n", r.figure, r.median, r.spread, r.least, r.most);
+    out += fmt::format("  {:<56} {:7.3f} {:8.3f} {:7.3f} {:7.3f} {:6}\n", r.figure, r.median, r.spread, r.least, r.most,
+                       r.pairs);
   }
   return out;
 }
@@ -156,8 +235,12 @@ std::string table(const Options& o, const Comparison& c) {
 std::string json(const Options& o, const Comparison& c) {
   Json ratios = Json::array();
   for (const Ratio& r : c.ratios) {
-    ratios.push_back(
-        {{"figure", r.figure}, {"median", r.median}, {"spread", r.spread}, {"least", r.least}, {"most", r.most}});
+    ratios.push_back({{"figure", r.figure},
+                      {"median", r.median},
+                      {"spread", r.spread},
+                      {"least", r.least},
+                      {"most", r.most},
+                      {"pairs", r.pairs}});
   }
   const Json out = {{"kind", "latency-comparison"},
                     {"schema", 1},

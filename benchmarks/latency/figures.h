@@ -50,7 +50,8 @@ struct FlightFigures {
   Distribution own_at_pose;             ///< the same from delivery: our own share
   Distribution age_at_bus;  ///< from mid-exposure to the pose's last frame handed to the bus; no samples: no bus
   Distribution own_at_bus;
-  Distribution tracker_cpu;  ///< thread CPU time of the tracking call, pyramid included
+  Distribution tracker_cpu;                   ///< thread CPU time of the tracking call, pyramid included
+  std::array<Distribution, 2> detection_cpu;  ///< thread CPU time of a detection of full input, and of small
   std::array<Distribution, app::kStages> stages{};
   std::uint64_t detections = 0, detections_failed = 0, detections_late = 0;
   std::string rung;  ///< of the scheduler's ladder, at the end

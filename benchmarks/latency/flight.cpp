@@ -7,6 +7,7 @@
 #include <malloc.h>
 
 #include "benchmarks/latency/thread_watch.h"
+#include "benchmarks/latency/watched_parts.h"
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/devices.h"
@@ -16,7 +17,6 @@
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
-#include "hal/rt/alloc_hook.h"
 #include "hal/sim/flight.h"
 
 namespace godwit::bench {
@@ -24,78 +24,6 @@ namespace {
 
 constexpr double kDefaultFps = 30;
 constexpr rt::TimeNs kLookPeriodNs = rt::kNsPerSecond;
-
-/// Heap operations of one thread inside its real-time scopes since the first time that it was asked.
-class HeapWatch {
- public:
-  /// The thread itself. No allocation.
-  void look() {
-    const rt::HeapCounts c = rt::rt_heap_counts();
-    const auto all = static_cast<std::int64_t>(c.allocations + c.frees);
-    if (first_ < 0) first_ = all;
-    // Relaxed: a figure, read after the thread's last look or a look late.
-    count_.store(all - first_, std::memory_order_relaxed);
-  }
-  std::int64_t count() const { return count_.load(std::memory_order_relaxed); }
-
- private:
-  std::int64_t first_ = -1;              ///< the thread's own
-  std::atomic<std::int64_t> count_{-1};  ///< the thread -> the collector
-};
-
-/// The camera as it is, with an eye on its thread's heap. A live one is at its end after lasts_ns (0: by itself).
-class WatchedCamera final : public hal::Camera {
- public:
-  WatchedCamera(std::unique_ptr<hal::Camera> camera, rt::TimeNs lasts_ns, HeapWatch* heap)
-      : camera_(std::move(camera)), lasts_ns_(lasts_ns), heap_(heap) {}
-  int width() const override { return camera_->width(); }
-  int height() const override { return camera_->height(); }
-  int channels() const override { return camera_->channels(); }
-  bool real_time() const override { return camera_->real_time(); }
-  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
-                         hal::CapturedFrame* frame, std::string* why) override {
-    heap_->look();
-    if (lasts_ns_ > 0) {
-      const rt::TimeNs now_ns = rt::monotonic_now_ns();
-      if (t_end_ns_ == 0) t_end_ns_ = now_ns + lasts_ns_;
-      if (now_ns >= t_end_ns_) return hal::CameraStatus::kEnd;
-    }
-    return camera_->next(grey, bgr, timeout_ns, frame, why);
-  }
-  rt::LogRing* events() override { return camera_->events(); }
-
- private:
-  std::unique_ptr<hal::Camera> camera_;
-  const rt::TimeNs lasts_ns_;
-  rt::TimeNs t_end_ns_ = 0;
-  HeapWatch* heap_;
-};
-
-/// Tracker's heap; everything else goes on to the autopilot.
-class WatchedTap final : public app::FrameTap {
- public:
-  WatchedTap(app::FrameTap* next, HeapWatch* heap) : next_(next), heap_(heap) {}
-  void frame_begun() override {
-    if (next_ != nullptr) next_->frame_begun();
-  }
-  void frame_done(const app::FrameRecord& record) override {
-    if (next_ != nullptr) next_->frame_done(record);
-    heap_->look();
-  }
-  void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_ns) override {
-    if (next_ != nullptr) next_->no_picture(now_ns, t_last_ns);
-  }
-  void imu_silent(bool silent) override {
-    if (next_ != nullptr) next_->imu_silent(silent);
-  }
-  void detector_failed(bool failed) override {
-    if (next_ != nullptr) next_->detector_failed(failed);
-  }
-
- private:
-  app::FrameTap* next_;
-  HeapWatch* heap_;
-};
 
 double line_of_status_mb(const char* key) {
   std::ifstream status("/proc/self/status");
@@ -301,6 +229,8 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
   const hal::MachineMonitor machine;
   pipeline.machine = &machine;
   parts.plan_detector(&pipeline);
+  WatchedDetector watched(pipeline.detector, pipeline.scheduler.input_px);
+  if (pipeline.detector != nullptr) pipeline.detector = &watched;
   app::plan_pipeline(config, pictures.fps, &pipeline);
   link::DepartureRing departures;
   auto link = app::start_link(
@@ -321,6 +251,8 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
   }
   collector.finish();
   const app::SchedulerCounters& s = run.value().scheduler;
+  const auto detections = watched.cpu_ms();
+  for (std::size_t i = 0; i < detections.size(); ++i) figures.detection_cpu[i] = distribution_of(detections[i]);
   figures.detections = s.detections;
   figures.detections_failed = s.detections_failed;
   figures.detections_late = s.detections_late;

@@ -79,6 +79,7 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   if (!o.quiet) fmt::print("{}", bench::table(run));
   const int told = finish(o.json_file, bench::json(run), &json_file);
   const int code = std::max(told, finish_plot(run, o.plot_file, &plot_file));
+  if (!poses) fail(app::kExitFailed, "no pose was found: too short a flight, or pictures that show too little");
   return code == app::kExitDone && !poses ? static_cast<int>(app::kExitFailed) : code;
 }
 

@@ -45,6 +45,7 @@ Json of(const FlightFigures& f) {
   out["age_at_bus_ms"] = f.age_at_bus.samples > 0 ? of(f.age_at_bus) : Json(nullptr);
   out["own_at_bus_ms"] = f.own_at_bus.samples > 0 ? of(f.own_at_bus) : Json(nullptr);
   out["tracker_cpu_ms"] = of(f.tracker_cpu);
+  out["detection_cpu_ms"] = {{"full", of(f.detection_cpu[0])}, {"small", of(f.detection_cpu[1])}};
   out["stages_ms"] = std::move(stages);
   out["detections"] = {{"done", f.detections}, {"failed", f.detections_failed}, {"late", f.detections_late}};
   out["rung"] = f.rung;
@@ -85,6 +86,10 @@ void add_flight(std::string* out, const FlightFigures& f) {
   add_row(out, f.age_at_bus.samples > 0 ? "age at bus" : "age at bus (no --can)", f.age_at_bus);
   if (f.age_at_bus.samples > 0) add_row(out, "  our own share", f.own_at_bus);
   add_row(out, "tracker, thread CPU time", f.tracker_cpu);
+  if (f.detector) {
+    add_row(out, "a detection, CPU time", f.detection_cpu[0]);
+    if (f.detection_cpu[1].samples > 0) add_row(out, "  of small input", f.detection_cpu[1]);
+  }
   for (std::size_t i = 0; i < app::kStages; ++i) {
     add_row(out, (std::string("  stage ") + app::kStageNames[i]).c_str(), f.stages[i]);
   }

@@ -1,8 +1,11 @@
 // Distributions, delays, ratios and what a thread used.
 #include <atomic>
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <string>
 #include <thread>
+#include <utility>
 
 #include "benchmarks/latency/compare.h"
 #include "benchmarks/latency/figures.h"
@@ -50,6 +53,56 @@ TEST(Ratio, OfEqualPairsHasNoSpread) {
   const Ratio r = ratio_of("x", {{2, 2}, {3, 3}, {4, 4}});
   EXPECT_DOUBLE_EQ(r.median, 1);
   EXPECT_DOUBLE_EQ(r.spread, 0);
+}
+
+/// The figures of a flight of 100 pictures in 10 s: full and small detections, others [% of a processor], and what a
+/// detection of full input costs (a small one a half) [ms].
+std::string flight(int full, int small, double others_percent, double detection_ms) {
+  const auto detector_percent = (full * detection_ms + small * detection_ms / 2) / 100;
+  return fmt::format(
+      R"({{"kind": "latency", "flights": [{{"detector": true, "seconds": 10, "frames": {{"processed": 100}},
+           "tracker_cpu_ms": {{"median": 1, "p99": 2}}, "own_at_pose_ms": {{"median": 1}},
+           "detections": {{"done": {}}},
+           "detection_cpu_ms": {{"full": {{"samples": {}, "median": {}}}, "small": {{"samples": {}, "median": {}}}}},
+           "threads": [{{"name": "gw-tracker", "cpu_percent": {}}}, {{"name": "gw-detector", "cpu_percent": {}}}]}}]}})",
+      full + small, full, detection_ms, small, detection_ms / 2, others_percent, detector_percent);
+}
+constexpr const char* kAll = "detector on: CPU time of all threads, as many detections";
+constexpr const char* kFull = "detector on: a detection's CPU time, full input, median";
+
+TEST(PairFigures, HowManyDetectionsAFlightHadCostsNothing) {
+  const auto figures = pair_figures(flight(80, 0, 5, 50), flight(28, 40, 5, 50));
+  ASSERT_TRUE(figures.ok()) << figures.error().message;
+  const auto [a, b] = figures.value().at(kAll);
+  EXPECT_DOUBLE_EQ(a, b);
+  EXPECT_DOUBLE_EQ(a, 5 + 0.54 * 50) << "5 ms a picture, and 54 detections in 100 pictures";
+  EXPECT_EQ(figures.value().count("detector on: a detection's CPU time, small input, median"), 0u);
+  EXPECT_EQ(figures.value().at("detector on: detections a second"), (std::pair{8.0, 6.8}));
+}
+
+TEST(PairFigures, WhatADetectionCostsDoes) {
+  const auto figures = pair_figures(flight(80, 10, 5, 60), flight(60, 20, 5, 50));
+  ASSERT_TRUE(figures.ok());
+  EXPECT_EQ(figures.value().at(kFull), (std::pair{60.0, 50.0}));
+  const auto [a, b] = figures.value().at(kAll);
+  EXPECT_DOUBLE_EQ(a, 5 + 0.7 * 60 + 0.15 * 30);
+  EXPECT_DOUBLE_EQ(b, 5 + 0.7 * 50 + 0.15 * 25);
+}
+
+TEST(PairFigures, WhatOneSideDidNotDoIsLeftOut) {
+  const auto figures = pair_figures(flight(80, 0, 5, 50), flight(4, 60, 5, 50));
+  ASSERT_TRUE(figures.ok());
+  EXPECT_EQ(figures.value().count(kFull), 0u) << "four are too few";
+  EXPECT_EQ(figures.value().count(kAll), 0u) << "without the detector it would not be all threads";
+  EXPECT_EQ(figures.value().count("detector on: tracker CPU time, median"), 1u);
+  ASSERT_TRUE(pair_figures(flight(80, 0, 5, 50), flight(0, 0, 5, 50)).ok()) << "all shed";
+}
+
+TEST(PairFigures, OtherFlightsAndOtherFilesAreRefused) {
+  const std::string one = flight(80, 0, 5, 50);
+  EXPECT_FALSE(pair_figures(one, "{").ok());
+  EXPECT_FALSE(pair_figures(one, R"({"kind": "latency", "flights": []})").ok());
+  EXPECT_FALSE(pair_figures(one, R"({"kind": "latency", "flights": [{"detector": true}]})").ok());
 }
 
 TEST(ThreadWatch, TellsABusyThreadFromASleepingOne) {

@@ -26,7 +26,8 @@ def run(*words, **keywords):
 
 
 def fake_program(folder, name, tracker_ms):
-    """A program that takes godwit-latency's options and writes figures of its own, a third slower at each call."""
+    """A program that takes godwit-latency's options and writes figures of its own, a third slower at each call. Its detector
+    comes to fewer detections each time, as on a machine that grows busier, and then to smaller ones."""
     program = pathlib.Path(folder) / name
     program.write_text(f'''#!/usr/bin/python3
 import json, pathlib, sys
@@ -35,9 +36,15 @@ calls = log.read_text().split() if log.exists() else []
 log.write_text(' '.join(calls + [{name!r}]))
 ms = {tracker_ms} * 1.3 ** len(calls)
 of = dict(median=ms, p99=2 * ms)
+full, small = max(80 - 9 * len(calls), 0), 6 * len(calls)
+detections = dict(full=dict(samples=full, median=50 * ms), small=dict(samples=small, median=30 * ms))
+percent = 100 * (full * 50 * ms + small * 30 * ms) / 1e3 / 8
 out = sys.argv[sys.argv.index('--json') + 1]
 json.dump(dict(kind='latency', flights=[dict(detector=True, tracker_cpu_ms=of, own_at_pose_ms=of,
-                                             threads=[dict(cpu_percent=10 * ms)])]), open(out, 'w'))
+                                             seconds=8, frames=dict(processed=240), detection_cpu_ms=detections,
+                                             detections=dict(done=full + small),
+                                             threads=[dict(name='gw-tracker', cpu_percent=3 * ms),
+                                                      dict(name='gw-detector', cpu_percent=percent)])]), open(out, 'w'))
 ''')
     program.chmod(0o755)
     return program
@@ -93,14 +100,37 @@ class Latency(unittest.TestCase):
             ratio = json.loads(pathlib.Path(folder, 'ratio.json').read_text())
             self.validator.validate(ratio)
             self.assertEqual(pathlib.Path(folder, 'calls').read_text().split(), ['a', 'b', 'b', 'a'] * 5)
-            median = {r['figure']: r['median'] for r in ratio['ratios']}['detector on: tracker CPU time, median']
+            of = {r['figure']: r for r in ratio['ratios']}
             # 1.2 / 1.3 and 1.2 * 1.3 in turn: the slowing down cancels.
-            self.assertAlmostEqual(median, (1.2 / 1.3 + 1.2 * 1.3) / 2, places=6)
+            cancelled = (1.2 / 1.3 + 1.2 * 1.3) / 2
+            self.assertAlmostEqual(of['detector on: tracker CPU time, median']['median'], cancelled, places=6)
+            # And so in the sum, though one side always had more detections, or larger ones.
+            threads = of['detector on: CPU time of all threads, as many detections']
+            self.assertAlmostEqual(threads['median'], cancelled, places=6)
+            self.assertEqual(threads['pairs'], 10)
+            full = of["detector on: a detection's CPU time, full input, median"]
+            self.assertAlmostEqual(full['median'], cancelled, delta=0.4)
+            self.assertEqual(full['pairs'], 4)  # the fifth had two of them: too few to tell
+
+    def test_figures_of_an_older_build_are_named(self):
+        with tempfile.TemporaryDirectory() as folder:
+            old = pathlib.Path(folder) / 'old'
+            old.write_text("#!/bin/sh\nwhile [ \"$1\" != --json ]; do shift; done\n"
+                           "echo '{\"kind\": \"latency\", \"flights\": [{\"detector\": true}]}' > \"$2\"\n")
+            old.chmod(0o755)
+            done = run(LATENCY, 'street', '--compare', old, old, '--pairs', 3)
+            self.assertEqual(done.returncode, 1)
+            self.assertIn('A: has no CPU time of a detection', done.stderr)
 
     def test_a_side_that_fails_is_named(self):
         done = run(LATENCY, 'street', '--compare', '/bin/false', '/bin/true', '--pairs', 3)
         self.assertEqual(done.returncode, 1)
         self.assertIn('/bin/false: ended with 1', done.stderr)
+
+    def test_without_a_pose_the_reason_is_said_in_a_comparison_too(self):
+        done = run(LATENCY, 'street', '--pictures', 2, '--seconds', 1, '--detector', 'off', '--compare', LATENCY, LATENCY)
+        self.assertEqual(done.returncode, 1)
+        self.assertIn('godwit-latency: no pose was found: ', done.stderr)
 
     def test_no_such_sequence(self):
         done = run(LATENCY, '/nowhere/at/all', '--seconds', 1)
