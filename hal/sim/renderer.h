@@ -41,7 +41,8 @@ struct TrueBox {
   int visible_px = 0;                     ///< pixels that show it; the rest is hidden
 };
 
-constexpr int kSamples = 4;  ///< a pixel
+constexpr int kSamples = 4;     ///< a pixel
+constexpr double kNear = 0.05;  ///< [m] nothing closer is drawn
 
 /// Everything a frame needs is allocated by the constructor. One thread at a time. World and trajectory must outlive
 /// it.

@@ -1,4 +1,4 @@
-// godwitd as a program: what it links, how it starts, how it ends. And `godwit check`, which looks over the same file.
+// godwitd as a program: what it links, how it starts, how it ends.
 #include <algorithm>
 #include <array>
 #include <csignal>
@@ -17,6 +17,8 @@
 
 #include "hal/rt/time.h"
 #include "hal/rt/wake_up.h"
+#include "tests/app/small_flight.h"
+#include "tests/support/run_command.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -24,26 +26,6 @@ namespace {
 
 using testing::HasSubstr;
 using testing::Not;
-
-/// Runs a shell command; what it said on both streams, and its exit code.
-std::pair<std::string, int> run(const std::string& command) {
-  std::string said;
-  std::FILE* const pipe = popen((command + " 2>&1").c_str(), "r");
-  std::array<char, 4096> block{};
-  std::size_t n = 0;
-  while ((n = std::fread(block.data(), 1, block.size(), pipe)) > 0) said.append(block.data(), n);
-  const int status = pclose(pipe);
-  return {said, WIFEXITED(status) ? WEXITSTATUS(status) : -1};
-}
-
-const std::string kSmallFlight =
-    "[camera]\nsource = \"sim\"\nscenario = \"corridor\"\nscenarios = \"" GODWIT_SCENARIO_DIR "\"\npictures = 2\n";
-
-std::string write_config(const test::TempFolder& folder, const std::string& text) {
-  const std::string file = folder.path() / "godwit.toml";
-  std::ofstream(file) << text;
-  return file;
-}
 
 /// Gives up all that a real-time program needs: root, its capabilities, and the limits that stand in for them. Child
 /// process, before exec.
@@ -118,11 +100,12 @@ class Daemon {
 };
 
 TEST(Godwitd, DecodesNoPicturesAndOpensNoVideo) {
-  const auto [libraries, code] = run("ldd " GODWIT_DAEMON);
+  const auto [code, libraries] = test::run_command("ldd " GODWIT_DAEMON);
   ASSERT_EQ(code, 0);
   ASSERT_THAT(libraries, HasSubstr("libc.so")) << "ldd told the libraries at all";
   for (const char* library : {"imgcodecs", "videoio", "highgui"}) EXPECT_THAT(libraries, Not(HasSubstr(library)));
-  ASSERT_THAT(run("ldd " GODWIT_TOOL).first, HasSubstr("imgcodecs")) << "and would be found if it were there";
+  ASSERT_THAT(test::run_command("ldd " GODWIT_TOOL).text, HasSubstr("imgcodecs"))
+      << "and would be found if it were there";
 }
 
 TEST(Godwitd, TheLogBeginsWithTheVersionAndArmedIsNotSaidWhereNothingIsLocked) {
@@ -300,7 +283,7 @@ TEST(Godwitd, ABrokenNetworkIsNotFlownWithout) {
   std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_320.toml", folder.path() / "own.toml");
   const std::string config =
       write_config(folder, kSmallFlight + "[detector]\nmodel = \"" + (folder / "own.onnx") + "\"\n");
-  const auto [said, code] = run(GODWIT_DAEMON " --config " + config);
+  const auto [code, said] = test::run_command(GODWIT_DAEMON " --config " + config);
   EXPECT_EQ(code, 2);
   EXPECT_THAT(said, HasSubstr((folder / "own.onnx") + ": "));
   EXPECT_THAT(said, Not(HasSubstr("armed")));
@@ -309,112 +292,18 @@ TEST(Godwitd, ABrokenNetworkIsNotFlownWithout) {
 TEST(Godwitd, RefusesToStartWithAllThatIsWrong) {
   const test::TempFolder folder;
   const std::string config = write_config(folder, "[camera]\nsource = \"film\"\npictures = 1\n");
-  const auto [said, code] = run(GODWIT_DAEMON " --config " + config);
+  const auto [code, said] = test::run_command(GODWIT_DAEMON " --config " + config);
   EXPECT_EQ(code, 2);
   EXPECT_THAT(
       said,
       HasSubstr(config + ":2: camera.source: \"none\", \"sim\", \"replay\", \"v4l2\" or \"libcamera\" is allowed"));
   EXPECT_THAT(said, HasSubstr(config + ":3: camera.pictures: a whole number from 2 to 10000 is allowed"));
-  EXPECT_EQ(run(GODWIT_DAEMON).second, 2) << "without a configuration it does not guess one";
-  const auto [none, none_code] = run(GODWIT_DAEMON " --config " + write_config(folder, ""));
+  EXPECT_EQ(test::run_command(GODWIT_DAEMON).exit_code, 2) << "without a configuration it does not guess one";
+  const auto [none_code, none] = test::run_command(GODWIT_DAEMON " --config " + write_config(folder, ""));
   EXPECT_EQ(none_code, 2);
   EXPECT_THAT(
       none,
       HasSubstr("camera.source: a daemon needs a camera; \"v4l2\", \"libcamera\", \"replay\" or \"sim\" is allowed"));
-}
-
-TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {
-  const test::TempFolder folder;
-  const std::string config = write_config(folder,
-                                          "[threads.tracker]\ncpus = [0, 1000]\n"
-                                          "[scheduler]\ncalm_s = \"long\"\n"
-                                          "[camera]\nsource = \"sim\"\nscenarios = \"" GODWIT_SCENARIO_DIR
-                                          "\"\nscenario = \"nowhere\"\n"
-                                          "[pipeline]\nframe_slots = 3\n"
-                                          "[nosuch]\nx = 1\n");
-  const auto [said, code] = run(GODWIT_TOOL " check --config " + config);
-  EXPECT_EQ(code, 2);
-  std::size_t at = 0;
-  for (const char* line :
-       {":2: threads.tracker.cpus: there is no processor 1000", ":4: scheduler.calm_s: a number",
-        ":8: camera.scenario: no scenario 'nowhere'; there are: ", ":10: pipeline.frame_slots: 3 are too few",
-        ":11: nosuch: unknown section", ": 5 mistakes"}) {
-    const std::size_t found = said.find(config + line, at);
-    ASSERT_NE(found, std::string::npos) << line << " in:\n" << said;
-    at = found;
-  }
-}
-
-TEST(GodwitCheck, ASimulatedCameraIsRefusedOnARealBus) {
-  const test::TempFolder folder;
-  const auto code = [&](const std::string& link) {
-    return run(GODWIT_TOOL " check --config " + write_config(folder, kSmallFlight + link)).second;
-  };
-  EXPECT_EQ(code("[can]\nbus = \"socketcan:can0\"\n"), 2);
-  EXPECT_EQ(code("[can]\nbus = \"socketcan:vcan0\"\n"), 0);
-  EXPECT_EQ(code("[link]\nmavlink = \"serial:/dev/ttyTHS0:921600\"\n"), 2);
-  EXPECT_EQ(code("[link]\nmavlink = \"udp:127.0.0.1:14550\"\n"), 0);
-}
-
-TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
-  const test::TempFolder folder;
-  const std::string config =
-      write_config(folder, "[camera]\nsource = \"sim\"\nscenarios = \"" GODWIT_SCENARIO_DIR
-                           "\"\n[can]\nbus = \"multicast:0\"\n[link]\nstate_folder = \"/nowhere\"\n");
-  for (const char* program : {GODWIT_TOOL " check", GODWIT_DAEMON}) {
-    const auto [said, code] = run(std::string(program) + " --config " + config);
-    EXPECT_EQ(code, 2) << program;
-    EXPECT_THAT(said, HasSubstr(config + ":7: link.state_folder: \"/nowhere\" is not there or no folder"));
-  }
-}
-
-TEST(GodwitCheck, WhatWasSavedOverTheBusIsShownAndWhatDoesNotFitIsNamed) {
-  const test::TempFolder folder;
-  std::ofstream(folder / "link_parameters.txt") << "VIO_RATE 25\nVIO_PROFILE 1\n";
-  const auto [said, code] =
-      run(GODWIT_TOOL " check --config " +
-          write_config(folder, kSmallFlight + "[can]\nbus = \"multicast:0\"\n[link]\nstate_folder = \"" +
-                                   folder.path().string() + "\"\n"));
-  EXPECT_EQ(code, 0) << said;
-  EXPECT_THAT(said, HasSubstr("VIO_RATE 25, saved over the bus, overrides 30 of the configuration"));
-  EXPECT_THAT(said,
-              HasSubstr("warning: VIO_PROFILE 1, saved over the bus, is not used: PX4 takes no MAVLink through CAN"));
-}
-
-TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
-  const test::TempFolder folder;
-  const std::string own = folder / "own.onnx";
-  std::ofstream(own) << "no network";
-  const auto told = [&](const std::string& section, const std::string& words) {
-    const std::string config = write_config(folder, kSmallFlight + "[detector]\n" + section);
-    for (const char* program : {GODWIT_TOOL " check", GODWIT_DAEMON}) {
-      const auto [said, code] = run(std::string(program) + " --config " + config);
-      EXPECT_EQ(code, 2) << program;
-      EXPECT_THAT(said, HasSubstr(config + words));
-    }
-  };
-  told("model = \"/nowhere.onnx\"\n",
-       ":7: detector.model: /nowhere.onnx: No such file or directory; without a network: detector.enabled = false");
-  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ": cannot be opened");
-  told("small_model = \"/\"\n", ":7: detector.small_model: /: no file");
-  std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.toml", folder.path() / "own.toml");
-  told("model = \"" + own + "\"\n", ":7: detector.model: " + own + ": not the network that " + (folder / "own.toml") +
-                                        " describes: its SHA-256 is ");
-  std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx", own,
-                        std::filesystem::copy_options::overwrite_existing);
-  told("small_model = \"" + own + "\"\n",
-       ":7: detector.small_model: " + own + ": its input of 416 pixels is not smaller");
-  std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
-  told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":12: unknown key size");
-}
-
-TEST(GodwitCheck, SaysOkAndShowsEveryKey) {
-  const test::TempFolder folder;
-  const auto [said, code] = run(GODWIT_TOOL " check --show --config " + write_config(folder, kSmallFlight));
-  EXPECT_EQ(code, 0);
-  EXPECT_THAT(said, HasSubstr("camera.pictures = 2\n"));
-  EXPECT_THAT(said, HasSubstr("scheduler.deadline_ms = 33.3\n"));
-  EXPECT_THAT(said, HasSubstr(": ok\n"));
 }
 
 }  // namespace
