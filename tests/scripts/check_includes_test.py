@@ -90,7 +90,21 @@ class CheckIncludes(unittest.TestCase):
             (root / 'vo_core' / 'notes.txt').write_text('#include <thread>\n')
             self.assertEqual([(f, n) for f, n, _ in check.check_tree(root)], [('vo_core/bad.cpp', 3)])
 
+    def test_a_file_that_is_too_long_is_named_unless_listed(self):
+        with tempfile.TemporaryDirectory() as folder:
+            root = pathlib.Path(folder)
+            for name, lines in (('long.cpp', 5), ('listed.h', 5), ('just.py', 4), ('program', 5), ('build/made.cpp', 9), ('data.csv', 9)):
+                (root / name).parent.mkdir(exist_ok=True)
+                (root / name).write_text('#!/bin/sh\n' * lines)
+            said = dict(check.check_lengths(root, 4, {'listed.h': 'a reason', 'just.py': 'no longer', 'gone.h': 'was split'}))
+            self.assertEqual(sorted(said), ['gone.h', 'just.py', 'long.cpp', 'program'])
+
+    def test_each_long_file_has_a_reason(self):
+        for file, reason in check.LONG.items():
+            self.assertGreater(len(reason.split()), 3, file)
+
     def test_this_tree_keeps_the_rules(self):
+        self.assertEqual(list(check.check_lengths(ROOT)), [])
         self.assertEqual(list(check.check_tree(ROOT)), [])
 
 
