@@ -46,9 +46,20 @@ install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc DESTINATION ${GODWIT_DATA_
 install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.toml DESTINATION ${CMAKE_INSTALL_SYSCONFDIR}/godwit
         COMPONENT programs)
 
-# The service. Paths in the unit are those of the prefix and the configuration folder that this build was configured with.
+# The service. The unit names the places where program and configuration are put, and these are known when they are:
+# `cmake --install --prefix` may name another prefix than the configured one, which tests look at.
+set(GODWIT_UNIT_BINDIR ${CMAKE_INSTALL_FULL_BINDIR})
+set(GODWIT_UNIT_SYSCONFDIR ${CMAKE_INSTALL_FULL_SYSCONFDIR})
 configure_file(${PROJECT_SOURCE_DIR}/systemd/godwitd.service.in ${PROJECT_BINARY_DIR}/systemd/godwitd.service @ONLY)
-install(FILES ${PROJECT_BINARY_DIR}/systemd/godwitd.service DESTINATION lib/systemd/system COMPONENT programs)
+install(CODE "
+  get_filename_component(prefix \"\${CMAKE_INSTALL_PREFIX}\" ABSOLUTE)
+  get_filename_component(GODWIT_UNIT_BINDIR \"${CMAKE_INSTALL_BINDIR}\" ABSOLUTE BASE_DIR \"\${prefix}\")
+  get_filename_component(GODWIT_UNIT_SYSCONFDIR \"${CMAKE_INSTALL_SYSCONFDIR}\" ABSOLUTE BASE_DIR \"\${prefix}\")
+  set(unit \"\${prefix}/lib/systemd/system/godwitd.service\")
+  message(STATUS \"Installing: \$ENV{DESTDIR}\${unit}\")
+  configure_file(\"${PROJECT_SOURCE_DIR}/systemd/godwitd.service.in\" \"\$ENV{DESTDIR}\${unit}\" @ONLY)
+  list(APPEND CMAKE_INSTALL_MANIFEST_FILES \"\${unit}\")
+" COMPONENT programs)
 install(FILES ${PROJECT_SOURCE_DIR}/systemd/80-godwit-can0.network DESTINATION lib/systemd/network COMPONENT programs)
 install(FILES ${PROJECT_SOURCE_DIR}/systemd/80-godwit.rules DESTINATION lib/udev/rules.d COMPONENT programs)
 install(FILES ${PROJECT_SOURCE_DIR}/systemd/godwit.sysusers DESTINATION lib/sysusers.d RENAME godwit.conf COMPONENT programs)

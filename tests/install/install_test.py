@@ -61,6 +61,7 @@ def main():
             for folder in (SOURCE, BUILD):
                 if mentions(program, str(folder)):
                     fail(f'{program.name} names {folder}')
+        look_at_unit(prefix, first)
         look_at_manual(prefix)
         look_at_completion(prefix)
 
@@ -95,6 +96,15 @@ def hiding(folder, empty):
         if tried.returncode == 0 and not tried.stdout.strip():
             return way, command
     return None, []
+
+
+def look_at_unit(prefix, installed_to):
+    """The unit starts what was installed, with the configuration beside it."""
+    unit = (prefix / 'lib/systemd/system/godwitd.service').read_text()
+    start = re.search(r'^ExecStart=(.*)$', unit, re.M).group(1)
+    wanted = f'{installed_to}/bin/godwitd --config {installed_to}/etc/godwit/godwit.toml'
+    if start != wanted:
+        fail(f'the unit starts "{start}" instead of "{wanted}"')
 
 
 def look_at_manual(prefix):
