@@ -4,6 +4,8 @@
 #include <fstream>
 #include <sstream>
 
+#include "hal/machine/machine_state.h"
+
 namespace godwit::app {
 namespace {
 namespace fs = std::filesystem;
@@ -76,6 +78,16 @@ Clocks read_clocks(const fs::path& root) {
   return out;
 }
 
+void examine_temperature(const fs::path& root, DoctorReport* report) {
+  const hal::MachineMonitor machine((root / "sys").string());
+  if (machine.zones().empty()) {
+    report->note("power: no thermal zone tells this machine's temperature: scheduler.temperature_c sheds nothing");
+  } else {
+    report->note(fmt::format("power: the temperature is the hottest of {}: {:.1f} degrees now", machine.zones(),
+                             machine.read().temperature_c));
+  }
+}
+
 }  // namespace
 
 void examine_power(const std::string& root, DoctorReport* report) {
@@ -110,6 +122,7 @@ void examine_power(const std::string& root, DoctorReport* report) {
   if (!isolated.empty()) report->note("power: processors kept free of other programs: " + isolated);
   if (clocks.processors > 0 && clocks.capped == 0 && clocks.late == 0 && report->wrong_count() == before)
     report->fits(fmt::format("power: {} processors keep their highest clock", clocks.processors));
+  examine_temperature(base, report);
 }
 
 }  // namespace godwit::app

@@ -2,6 +2,8 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <string>
+#include <utility>
 
 #include "tests/support/temp_folder.h"
 
@@ -48,6 +50,20 @@ TEST(DoctorPower, AJetsonWithAllItsClocksFits) {
   int wrong = 0;
   EXPECT_THAT(told(root, &wrong), AllOf(HasSubstr("Jetson-AGX, nvpmodel mode 0 (MAXN)"),
                                         HasSubstr("ok     power: 8 processors"), HasSubstr("other programs: 4-7")));
+  EXPECT_EQ(wrong, 0);
+}
+
+TEST(DoctorPower, TheZonesThatCountAreNamed) {
+  const TempFolder root;
+  int wrong = 0;
+  EXPECT_THAT(told(root, &wrong), HasSubstr("no thermal zone tells this machine's temperature"));
+  int i = 0;
+  for (const auto& [type, temperature] : {std::pair{"CPU-therm", "41500"}, {"PMIC-Die", "100000"}}) {
+    const std::string zone = root / ("sys/class/thermal/thermal_zone" + std::to_string(i++));
+    write_file(zone + "/type", std::string(type) + "\n");
+    write_file(zone + "/temp", std::string(temperature) + "\n");
+  }
+  EXPECT_THAT(told(root, &wrong), HasSubstr("the temperature is the hottest of cpu-therm: 41.5 degrees now"));
   EXPECT_EQ(wrong, 0);
 }
 
