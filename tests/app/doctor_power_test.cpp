@@ -13,8 +13,10 @@ namespace doctor_power_test {
 using test::TempFolder;
 using test::write_file;
 using testing::AllOf;
+using testing::EndsWith;
 using testing::HasSubstr;
 using testing::Not;
+using testing::StartsWith;
 
 void put_processor(const TempFolder& root, int number, long lowest, long highest, long possible,
                    const std::string& governor) {
@@ -55,9 +57,7 @@ TEST(DoctorPower, AJetsonWithAllItsClocksFits) {
 
 TEST(DoctorPower, TheZonesThatCountAreNamed) {
   const TempFolder root;
-  int wrong = 0;
-  EXPECT_THAT(told(root, &wrong), HasSubstr("no thermal zone tells this machine's temperature"));
-  int i = 0;
+  int wrong = 0, i = 0;
   for (const auto& [type, temperature] : {std::pair{"CPU-therm", "41500"}, {"PMIC-Die", "100000"}}) {
     const std::string zone = root / ("sys/class/thermal/thermal_zone" + std::to_string(i++));
     write_file(zone + "/type", std::string(type) + "\n");
@@ -90,10 +90,10 @@ TEST(DoctorPower, OtherMachinesAreOnlyTold) {
   EXPECT_EQ(wrong, 0);
 }
 
-TEST(DoctorPower, NothingKnownNothingSaid) {
+TEST(DoctorPower, WhereNothingIsKnownOnlyThatIsSaid) {
   const TempFolder root;
   int wrong = 0;
-  EXPECT_EQ(told(root, &wrong), "");
+  EXPECT_THAT(told(root, &wrong), AllOf(StartsWith("note   power: no thermal zone"), EndsWith("sheds nothing\n")));
   EXPECT_EQ(wrong, 0);
 }
 
