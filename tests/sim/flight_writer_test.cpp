@@ -5,22 +5,17 @@
 #include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sstream>
+#include <string>
 
 #include "hal/camera/replay/replay_camera.h"
+#include "tests/sim/file_content.h"
 #include "tests/sim/test_scenario.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
 namespace fs = std::filesystem;
-
-std::string content(const fs::path& file) {
-  std::ifstream in(file);
-  std::stringstream s;
-  s << in.rdbuf();
-  return s.str();
-}
+using test::content;
 
 int lines(const fs::path& file) {
   const std::string text = content(file);

@@ -5,21 +5,16 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
-#include <sstream>
+#include <string>
 
 #include "firmware_app/program/exit_code.h"
+#include "tests/sim/file_content.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
 namespace fs = std::filesystem;
-
-std::string content(const fs::path& file) {
-  std::ifstream in(file);
-  std::stringstream s;
-  s << in.rdbuf();
-  return s.str();
-}
+using test::content;
 
 /// A short flight past houses and people, made and drawn in a fraction of a street's time.
 constexpr const char* kLittleStreet = R"(

@@ -9,7 +9,7 @@
 namespace godwit::sim {
 namespace {
 
-Trajectory flight() {
+Trajectory round_flight() {
   TrajectoryPlan plan;
   plan.start_height_m = 8;
   Leg path;
@@ -36,7 +36,7 @@ void integrate(State* s, const Vec3& w0, const Vec3& f0, const Vec3& w1, const V
 }
 
 TEST(SimImu, AnIdealSensorIntegratesToTheTrajectory) {
-  const Trajectory trajectory = flight();
+  const Trajectory trajectory = round_flight();
   ImuModel ideal;
   ideal.rate_hz = 1000;
   ideal.gyro_noise = ideal.accel_noise = ideal.gyro_bias_walk = ideal.accel_bias_walk = ideal.gyro_bias =
@@ -65,7 +65,7 @@ TEST(SimImu, AnIdealSensorIntegratesToTheTrajectory) {
 
 TEST(SimImu, ANoisySensorErrsAsItsDataSheetSays) {
   // Windows of one second from the true state, true bias taken off: what is left must be the white noise integrated.
-  const Trajectory trajectory = flight();
+  const Trajectory trajectory = round_flight();
   const ImuModel model;
   double turn2 = 0, speed2 = 0, place2 = 0;
   int windows = 0;
@@ -135,7 +135,7 @@ TEST(SimImu, SaturatesAndQuantises) {
 }
 
 TEST(SimImu, SameSeedSameSamples) {
-  const Trajectory trajectory = flight();
+  const Trajectory trajectory = round_flight();
   SimImu a(trajectory, {}, 0, 5), b(trajectory, {}, 0, 5), c(trajectory, {}, 0, 6);
   hal::ImuSample x, y, z;
   bool other_differs = false;
