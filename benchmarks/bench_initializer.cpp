@@ -103,7 +103,7 @@ void klt_track(benchmark::State& state) {
   std::vector<vo::Vec2f> px;
   for (int i = 0; i < kTracks; ++i) px.push_back(vo::Vec2(40 + 28 * (i % 20), 40 + 20 * (i / 20)).cast<float>());
   vo::KltTracker tracker({});
-  int alive = tracker.set_reference(first.pyramid, px);
+  int alive = tracker.set_reference(first.pyramid, px, 1.0f);
   bool flip = false;
   for (auto _ : state) {
     alive = tracker.track((flip = !flip) ? left.pyramid : right.pyramid);

@@ -41,7 +41,7 @@ void CandidateGrid::add_corner(int x, int y, int level, int fast_score) {
   slot.corner[static_cast<std::size_t>(position)] = corner;
 }
 
-void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score,
+void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, std::span<const float> min_score,
                                   float level_weight) {
   candidates_.clear();
   const std::size_t levels = static_cast<std::size_t>(levels_);
@@ -59,7 +59,7 @@ void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_thres
         const Corner& corner = slots[level].corner[static_cast<std::size_t>(i)];
         const bool weak = strongest > fast_threshold && corner.fast <= fast_threshold;
         const float score = shi_tomasi(pyramid.level[level], corner.x, corner.y);
-        if (score < min_score) continue;
+        if (score < min_score[level]) continue;
         candidates_.push_back({to_level0(corner.x, corner.y, static_cast<int>(level)), score, weight * score, corner.x,
                                corner.y, static_cast<std::int8_t>(level), weak, true});
       }

@@ -56,8 +56,9 @@ class CandidateGrid {
   void add_corner(int x, int y, int level, int fast_score);
   /// Turns the corners into candidates with Shi-Tomasi score, and rank = score * level_weight^level. In a cell that has
   /// corners above fast_threshold the others are marked weak; in a cell without, they are all there is: that lowers the
-  /// threshold where texture is weak. Candidates below min_score are dropped.
-  void score_corners(const rt::PyramidView& pyramid, int fast_threshold, float min_score, float level_weight);
+  /// threshold where texture is weak. Candidates below their level's min_score are dropped.
+  void score_corners(const rt::PyramidView& pyramid, int fast_threshold, std::span<const float> min_score,
+                     float level_weight);
   /// Rules out every candidate that has one of higher rank, of any level, within min_spacing_px. A weak
   /// one never rules out another that is not.
   void keep_local_best();

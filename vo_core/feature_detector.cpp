@@ -163,8 +163,7 @@ void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, con
 FeatureDetector::FeatureDetector(int width, int height, const FeatureDetectorOptions& options)
     : options_(options), buffers_(new Buffers(width, height, options.levels)) {
   assert(options.levels >= 1 && options.levels <= rt::kPyramidLevels);
-  assert(options.fast_threshold_min >= 1 && options.fast_threshold_min <= options.fast_threshold);
-  assert(options.fast_threshold < 255);
+  assert(options.fast_threshold >= 1 && options.fast_threshold < 255);
 }
 
 FeatureDetector::~FeatureDetector() {
@@ -183,11 +182,16 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   const int border = std::max(options_.border_px, kShiTomasiBorder);
   wanted = std::min(wanted, static_cast<int>(b.ids.size()));
 
+  noise_ = grey_noise(pyramid.level[0]);
   b.grid.clear();
+  std::array<float, rt::kPyramidLevels> min_score;
   for (int level = 0; level < levels; ++level) {
-    b.find_corners(pyramid.level[static_cast<std::size_t>(level)], mask, level, border, options_.fast_threshold_min);
+    const float sigma = grey_noise_at(noise_, level);
+    const int lowest = std::clamp(static_cast<int>(options_.fast_sigmas * sigma + 0.5f), 1, options_.fast_threshold);
+    min_score[static_cast<std::size_t>(level)] = options_.min_score * sigma * sigma;
+    b.find_corners(pyramid.level[static_cast<std::size_t>(level)], mask, level, border, lowest);
   }
-  b.grid.score_corners(pyramid, options_.fast_threshold, options_.min_score, options_.level_weight);
+  b.grid.score_corners(pyramid, options_.fast_threshold, min_score, options_.level_weight);
   b.grid.keep_local_best();
   b.tree.clear();
   for (const Vec2f& px : occupied) {

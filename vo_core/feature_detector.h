@@ -8,6 +8,7 @@
 
 #include "hal/rt/image.h"
 #include "vo_core/geometry.h"
+#include "vo_core/grey_noise.h"
 
 namespace godwit::vo {
 
@@ -23,11 +24,14 @@ struct Feature {
 };
 
 struct FeatureDetectorOptions {
-  int levels = 3;              ///< pyramid levels searched, from 0
-  int fast_threshold = 20;     ///< first FAST threshold [grey levels]
-  int fast_threshold_min = 5;  ///< lowest threshold tried where texture is weak
-  int border_px = 8;           ///< no feature closer to the edge, counted on its own level
-  float min_score = 15.0f;     ///< corners with a smaller Shi-Tomasi score are not taken
+  int levels = 3;            ///< pyramid levels searched, from 0
+  int fast_threshold = 20;   ///< first FAST threshold [grey levels]
+  float fast_sigmas = 2.5f;  ///< lowest threshold tried where texture is weak, in sigmas of the level's grey noise
+  int border_px = 8;         ///< no feature closer to the edge, counted on its own level
+  /// Corners with a smaller Shi-Tomasi score are not taken, over the variance of the level's grey noise. At 1 two
+  /// patches of 8 x 8 can be laid on each other to 0.25 px, and white noise alone has 3 corners where 160 are wanted,
+  /// at 0.7 99.
+  float min_score = 1.0f;
   /// What a score counts a level further up, where corners of different levels compete. With white noise alone 1 would
   /// be right; but a coarse patch covers more of the scene, which is less likely to be one plane.
   float level_weight = 0.5f;
@@ -47,6 +51,9 @@ class FeatureDetector {
   int detect(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, std::span<const Vec2f> occupied,
              int wanted, std::span<Feature> out);
 
+  /// One sigma of the grey noise of the last picture, as detect() found it (grey_noise.h).
+  float noise() const { return noise_; }
+
   /// Shi-Tomasi score (smaller eigenvalue of the 8x8 structure tensor, per pixel) at a pixel of one level.
   static float shi_tomasi_score(const rt::ImageView& image, int x, int y);
 
@@ -57,6 +64,7 @@ class FeatureDetector {
  private:
   struct Buffers;
   FeatureDetectorOptions options_;
+  float noise_ = kLeastGreyNoise;
   Buffers* buffers_;
 };
 

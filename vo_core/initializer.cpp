@@ -45,7 +45,7 @@ bool same_motion(const SE3& a, const SE3& b) {
 
 FeatureDetectorOptions detector_options() {
   FeatureDetectorOptions o;
-  o.levels = 2;
+  o.levels = 3;
   o.border_px = KltTracker::kFinePatch / 2 + 4;
   o.edgelets = false;
   return o;
@@ -157,6 +157,19 @@ struct Initializer::Impl {
     return *middle;
   }
 
+  /// A track of a level further up is twice as uncertain, and the refinement weighs all alike: from the coarsest on
+  /// they go, as long as enough are left.
+  void drop_coarse(int* alive) {
+    for (int level = KltTracker::kFineLevels - 1; level > 0; --level) {
+      const auto is_coarse = [&](const KltTrack& t) { return t.alive && t.level == level; };
+      const int coarse = static_cast<int>(std::count_if(tracker.tracks().begin(), tracker.tracks().end(), is_coarse));
+      if (*alive - coarse < 2 * options.min_tracks) return;
+      for (int i = 0; i < static_cast<int>(tracker.tracks().size()); ++i)
+        if (is_coarse(tracker.tracks()[static_cast<std::size_t>(i)])) tracker.drop(i);
+      *alive -= coarse;
+    }
+  }
+
   InitReport start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitStatus status) {
     InitReport report;
     started = false;
@@ -165,7 +178,8 @@ struct Initializer::Impl {
     const int wanted = std::clamp(options.features, 1, kMaxTracks);
     const int found = detector.detect(frame, mask, {}, wanted, features);
     for (int i = 0; i < found; ++i) starts[static_cast<std::size_t>(i)] = features[static_cast<std::size_t>(i)].px;
-    report.tracks = tracker.set_reference(frame, {starts.data(), static_cast<std::size_t>(found)});
+    report.tracks = tracker.set_reference(frame, {starts.data(), static_cast<std::size_t>(found)}, detector.noise());
+    drop_coarse(&report.tracks);
     for (int i = 0; i < found; ++i) {
       const auto k = static_cast<std::size_t>(i);
       if (tracker.tracks()[k].alive && !to_plane(starts[k], &first.xy[k])) {
@@ -338,9 +352,13 @@ struct Initializer::Impl {
       const double depth = scale / state.inverse_depth[p];
       const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
       const KltTrack& seen = tracker.tracks()[track];
-      points[static_cast<std::size_t>(point_count++)] = {
-          seen.px_ref,           seen.px,     to_picture(ref_xy[p], seen.px_ref), to_picture(cur_xy[p], seen.px),
-          features[track].level, depth * ray, depth_sigma[p] * depth * ray.norm()};
+      points[static_cast<std::size_t>(point_count++)] = {seen.px_ref,
+                                                         seen.px,
+                                                         to_picture(ref_xy[p], seen.px_ref),
+                                                         to_picture(cur_xy[p], seen.px),
+                                                         std::max(features[track].level, tracker.tracks()[track].level),
+                                                         depth * ray,
+                                                         depth_sigma[p] * depth * ray.norm()};
     }
   }
 

@@ -6,10 +6,15 @@
 #include <hwy/highway.h>
 #include <vector>
 
+#include "vo_core/grey_noise.h"
+#include "vo_core/patch.h"
+
 namespace godwit::vo {
 namespace {
 
 namespace hn = hwy::HWY_NAMESPACE;
+
+constexpr float kMaxGain = 5.0f;  // as in feature_align
 
 /// Patch of edge P with what an iteration needs.
 template <int P>
@@ -17,7 +22,9 @@ struct Template {
   alignas(64) std::array<float, P * P> intensity;  ///< mean removed
   alignas(64) std::array<float, P * P> gx, gy;     ///< orthogonal to the patch and to the constant
   float inv_xx = 0, inv_xy = 0, inv_yy = 0;        ///< inverse of the gradient matrix
+  float mean = 1;                                  ///< removed from `intensity`, at least 1
   float norm = 0;                                  ///< length of `intensity`
+  float signal = 1;                                ///< share of its variance that is not noise
   bool valid = false;
 };
 
@@ -31,16 +38,6 @@ float sum(Vector v) {
   float s = 0;
   for (float x : lanes) s += x;
   return s;
-}
-
-/// Level-0 pixel to the pixel of a level and back (rt::PyramidView's centre convention).
-Vec2f to_level(const Vec2f& px, int level) {
-  const float s = 1.0f / static_cast<float>(1 << level);
-  return (px.array() + 0.5f) * s - 0.5f;
-}
-Vec2f from_level(const Vec2f& px, int level) {
-  const float s = static_cast<float>(1 << level);
-  return (px.array() + 0.5f) * s - 0.5f;
 }
 
 /// The W x W window whose first sample lies at (x, y) can be sampled. Written so that a NaN is refused too.
@@ -91,7 +88,7 @@ void visit_samples(const rt::ImageView& image, float x, float y, const Visit& vi
 }
 
 template <int P>
-bool make_template(const rt::ImageView& image, const Vec2f& px, float min_eigenvalue, Template<P>* t) {
+bool make_template(const rt::ImageView& image, const Vec2f& px, float noise, float min_eigenvalue, Template<P>* t) {
   t->valid = false;
   constexpr int W = P + 2;
   constexpr float n = P * P;
@@ -132,12 +129,14 @@ bool make_template(const rt::ImageView& image, const Vec2f& px, float min_eigenv
   }
   const float half_trace = 0.5f * (xx + yy);
   const float smaller = half_trace - std::sqrt(0.25f * (xx - yy) * (xx - yy) + xy * xy);
-  if (!(smaller > min_eigenvalue * n)) return false;
+  if (!(smaller > min_eigenvalue * noise * noise * n)) return false;
   const float det = xx * yy - xy * xy;
   t->inv_xx = yy / det;
   t->inv_xy = -xy / det;
   t->inv_yy = xx / det;
+  t->mean = std::max(mean / n, 1.0f);
   t->norm = std::sqrt(tt);
+  t->signal = std::max(0.5f, 1.0f - noise * noise * n / tt);
   t->valid = true;
   return true;
 }
@@ -156,11 +155,17 @@ Outcome align(const rt::ImageView& image, const Template<P>& t, int max_iteratio
       return Outcome::kOutside;
     }
     Vector sx = hn::Zero(d), sy = hn::Zero(d);
+    Vector s = hn::Zero(d);
     visit_samples<P>(image, x, y, [&](int k, Vector v) {
       sx = hn::MulAdd(hn::Load(d, &t.gx[static_cast<std::size_t>(k)]), v, sx);
       sy = hn::MulAdd(hn::Load(d, &t.gy[static_cast<std::size_t>(k)]), v, sy);
+      s = hn::Add(s, v);
     });
-    const float bx = sum(sx), by = sum(sy);
+    // In more light the gradients are larger as the patch is brighter, and steps would overshoot; in less they are only
+    // short. What is sharper without more light was blurred in the reference, whose corners then lie beside the true
+    // ones: such a track had better not converge.
+    const float gain = std::clamp(sum(s) / (P * P) / t.mean, 1.0f, kMaxGain);
+    const float bx = sum(sx) / gain, by = sum(sy) / gain;
     const Vec2f step(t.inv_xx * bx + t.inv_xy * by, t.inv_xy * bx + t.inv_yy * by);
     *px -= step;
     if (!((*px - start).squaredNorm() < static_cast<float>(P * P))) return Outcome::kNotConverged;
@@ -200,7 +205,8 @@ struct KltTracker::Impl {
 
   bool find(const rt::PyramidView& picture, const Patches& patch, KltTrack* track) const {
     Vec2f px = track->px;
-    for (int level = std::min(picture.levels, kLevels) - 1; level > 0; --level) {
+    const int finest = track->level;
+    for (int level = std::min(picture.levels, kLevels) - 1; level > finest; --level) {
       const auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
       if (!t.valid) continue;
       Vec2f p = to_level(px, level);
@@ -212,11 +218,13 @@ struct KltTracker::Impl {
         continue;
       px = from_level(p, level);
     }
-    if (align(picture.level[0], patch.fine, options.max_iterations, options.converged_px, &px) != Outcome::kConverged)
-      return false;
+    const rt::ImageView& image = picture.level[static_cast<std::size_t>(finest)];
+    Vec2f p = to_level(px, finest);
+    if (align(image, patch.fine, options.max_iterations, options.converged_px, &p) != Outcome::kConverged) return false;
+    px = from_level(p, finest);
     if ((px - track->px).squaredNorm() > options.max_jump_px * options.max_jump_px) return false;
-    track->correlation = correlation(picture.level[0], patch.fine, px);
-    if (track->correlation < options.min_correlation) return false;
+    track->correlation = correlation(image, patch.fine, p);
+    if (track->correlation < options.min_correlation * patch.fine.signal) return false;
     track->px = px;
     return true;
   }
@@ -227,7 +235,7 @@ KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>
 }
 KltTracker::~KltTracker() = default;
 
-int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px) {
+int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px, float grey_noise) {
   Impl& m = *impl_;
   m.count = static_cast<int>(std::min<std::size_t>(px.size(), kMaxTracks));
   int alive = 0;
@@ -235,13 +243,18 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
     const Vec2f& p = px[static_cast<std::size_t>(i)];
     Impl::Patches& patch = m.patches[static_cast<std::size_t>(i)];
     KltTrack& track = m.tracks[static_cast<std::size_t>(i)];
-    track = {p, p, 1.0f, make_template(reference.level[0], p, m.options.min_eigenvalue, &patch.fine)};
+    track = {p, p, 1.0f, 0, false};
+    for (int level = 0; level < std::min(kFineLevels, reference.levels) && !track.alive; ++level) {
+      track.level = static_cast<std::int8_t>(level);
+      track.alive = make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
+                                  grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &patch.fine);
+    }
     for (int level = 1; level < kLevels; ++level) {
       auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
       t.valid = false;
       if (level < reference.levels)
-        make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level), m.options.min_eigenvalue,
-                      &t);
+        make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
+                      grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &t);
     }
     alive += track.alive ? 1 : 0;
   }

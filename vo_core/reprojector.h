@@ -44,7 +44,7 @@ class Reprojector {
 
   /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
   /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected). `coarser`: what is
-  /// not found is looked for on coarser_levels, too. Only between movers, where every point counts, and only where the
+  /// not found is looked for on coarser_levels, too: motion blur hides what is fine. Costs trials, so only where the
   /// pose continues that of the last picture: elsewhere chance alikeness on them let false poses pass after blurred
   /// pictures.
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,

@@ -8,10 +8,12 @@
 
 namespace godwit::vo {
 namespace {
-constexpr int kHalf = 2;                 // 4x4 patch: pixels -2..+1 around the point
-constexpr float kIntensityUnit = 64.0f;  // keeps gain and motion columns of the normal equations of one magnitude
-constexpr float kIntensityCentre = 128.0f;
-constexpr float kMinGain = 0.2f;  // as in feature_align: a picture darker than that shows no patch
+constexpr int kHalf = 2;  // 4x4 patch: pixels -2..+1 around the point
+/// One sigma of a patch's own gain between two pictures, over what noise and warp leave of a residual [grey levels]:
+/// under lamps on the mains a rolling shutter sees rows at 0.5 to 2 of what they were. Its offset is free.
+constexpr float kGainSigma = 0.5f, kResidualSigma = 4.0f;
+constexpr float kGainPrior = (kResidualSigma / kGainSigma) * (kResidualSigma / kGainSigma);
+constexpr float kMaxGain = 5.0f;  // and its inverse, as in feature_align
 }  // namespace
 
 void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
@@ -34,43 +36,44 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
 
     alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
     sample_grid(ref, px.x() - kHalf - 1, px.y() - kHalf - 1, 2, 6, window);
-    float gxx = 0, gxy = 0, gyy = 0, gx1 = 0, gy1 = 0, gxi = 0, gyi = 0, si = 0, sii = 0;
+    float mean = 0;
+    for (int y = 0; y < 4; ++y)
+      for (int x = 0; x < 4; ++x) mean += window[(y + 1) * 8 + x + 1] / 16.0f;
+    float gxx = 0, gxy = 0, gyy = 0, vv = 0;
+    Vec2f g1 = Vec2f::Zero(), gv = Vec2f::Zero();
     for (int y = 0; y < 4; ++y) {
       for (int x = 0; x < 4; ++x) {
         const float* w = window + (y + 1) * 8 + x + 1;
         const float gx = 0.5f * (w[1] - w[-1]), gy = 0.5f * (w[8] - w[-8]);
-        const float v = (w[0] - kIntensityCentre) / kIntensityUnit;
+        const float v = w[0] - mean;
         const int k = y * 4 + x;
-        patch.value[k] = w[0];
+        patch.value[k] = v;
         patch.gx[k] = gx;
         patch.gy[k] = gy;
         gxx += gx * gx;
         gxy += gx * gy;
         gyy += gy * gy;
-        gx1 += gx;
-        gy1 += gy;
-        gxi += gx * v;
-        gyi += gy * v;
-        si += v;
-        sii += v * v;
+        g1 += Vec2f(gx, gy);
+        gv += Vec2f(gx * v, gy * v);
+        vv += v * v;
       }
     }
+    // The patch's own gain and offset are eliminated (Schur complement); its values have no mean, so that they do not
+    // mix.
+    patch.mean = mean;
+    patch.per_value = 1.0f / (vv + kGainPrior);
+    patch.g1 = g1;
+    patch.gv = gv;
     Eigen::Matrix2f G;
     G << gxx, gxy, gxy, gyy;
+    G -= gv * gv.transpose() * patch.per_value + g1 * g1.transpose() / 16.0f;
     patch.H.noalias() = patch.J.transpose() * (G * patch.J).eval();
-    patch.ones.noalias() = patch.J.transpose() * Vec2f(gx1, gy1);
-    patch.values.noalias() = patch.J.transpose() * Vec2f(gxi, gyi);
-    patch.sum_i = si;
-    patch.sum_ii = sii;
   }
 }
 
-int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, float gain, float offset,
-                                 MatP* H, VecP* b, float* cost) {
+int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,
+                                 float* cost) {
   const hn::FixedTag<float, 4> df;
-  const auto v_gain = hn::Set(df, gain);
-  const auto v_offset = hn::Set(df, offset);
-  const auto v_centre = hn::Set(df, kIntensityCentre);
   H->setZero();
   b->setZero();
   float total = 0.0f, weight_sum = 0.0f;
@@ -88,36 +91,34 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
       continue;
     alignas(16) float now[16];
     sample_grid(cur, px.x() - kHalf, px.y() - kHalf, 1, 4, now);
-    auto srr = hn::Zero(df), sgx = srr, sgy = srr, s1 = srr, si = srr;
+    const auto mean = hn::Set(df, patch.mean);
+    auto srr = hn::Zero(df), sgx = srr, sgy = srr, s1 = srr, sv = srr;
     for (int k = 0; k < 16; k += 4) {
       const auto value = hn::Load(df, patch.value.data() + k);
-      const auto r = hn::Sub(hn::Load(df, now + k), hn::MulAdd(v_gain, value, v_offset));
+      const auto r = hn::Sub(hn::Sub(hn::Load(df, now + k), mean), value);
       srr = hn::MulAdd(r, r, srr);
       sgx = hn::MulAdd(r, hn::Load(df, patch.gx.data() + k), sgx);
       sgy = hn::MulAdd(r, hn::Load(df, patch.gy.data() + k), sgy);
       s1 = hn::Add(r, s1);
-      si = hn::MulAdd(r, hn::Sub(value, v_centre), si);
+      sv = hn::MulAdd(r, value, sv);
     }
-    const float mean_square = hn::GetLane(hn::SumOfLanes(df, srr)) / 16.0f;
+    const float sum_1 = hn::GetLane(hn::SumOfLanes(df, s1)), sum_v = hn::GetLane(hn::SumOfLanes(df, sv));
+    const float offset = sum_1 / 16.0f, more_gain = sum_v * patch.per_value;
+    const float squares = hn::GetLane(hn::SumOfLanes(df, srr)) - sum_1 * offset - sum_v * more_gain;
+    const float mean_square = std::max(squares, 0.0f) / 16.0f;
     const float rms = std::sqrt(mean_square);
     const float w = rms <= options_.huber_px ? 1.0f : options_.huber_px / rms;
     total += w * mean_square;
     weight_sum += w;
     ++used;
-    const Vec2f rg(hn::GetLane(hn::SumOfLanes(df, sgx)), hn::GetLane(hn::SumOfLanes(df, sgy)));
-    H->topLeftCorner<6, 6>() += w * patch.H;
-    H->block<6, 1>(0, 6) += w * patch.values;
-    H->block<6, 1>(0, 7) += w * patch.ones;
-    (*H)(6, 6) += w * patch.sum_ii;
-    (*H)(6, 7) += w * patch.sum_i;
-    (*H)(7, 7) += w * 16.0f;
-    b->head<6>().noalias() += w * (patch.J.transpose() * rg);
-    (*b)(6) += w * hn::GetLane(hn::SumOfLanes(df, si)) / kIntensityUnit;
-    (*b)(7) += w * hn::GetLane(hn::SumOfLanes(df, s1));
+    const Vec2f rg = Vec2f(hn::GetLane(hn::SumOfLanes(df, sgx)), hn::GetLane(hn::SumOfLanes(df, sgy))) -
+                     patch.gv * more_gain - patch.g1 * offset;
+    *H += w * patch.H;
+    // The picture's gradients are the reference's times the gain: of the light, which the means tell wherever the patch
+    // lies.
+    const float gain = (patch.mean + offset) / std::max(patch.mean, 1.0f);
+    b->noalias() += w / std::clamp(gain, 1.0f / kMaxGain, kMaxGain) * (patch.J.transpose() * rg);
   }
-  H->block<1, 6>(6, 0) = H->block<6, 1>(0, 6).transpose();
-  H->block<1, 6>(7, 0) = H->block<6, 1>(0, 7).transpose();
-  (*H)(7, 6) = (*H)(6, 7);
   *cost = weight_sum > 0 ? total / weight_sum : 0.0f;
   return used;
 }
@@ -128,18 +129,17 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
   SparseAlignResult result;
   shutter_ = shutter;
   SE3 T = T_init;
-  float gain = 1.0f, offset = 0.0f;
   const int top = std::min(options_.max_level, ref.levels - 1);
   for (int level = top; level >= options_.min_level; --level) {
     prepare(ref.level[level], level, points);
     SE3 T_old = T;
-    float gain_old = gain, offset_old = offset, cost_old = 0.0f;
+    float cost_old = 0.0f;
     int used_old = 0;
     for (int it = 0; it < options_.max_iterations; ++it) {
-      MatP H;
-      VecP b;
+      Mat6f H;
+      Vec6f b;
       float cost;
-      const int used = accumulate(cur.level[level], level, T, gain, offset, &H, &b, &cost);
+      const int used = accumulate(cur.level[level], level, T, &H, &b, &cost);
       // The prior's part of the cost, in the same unit: grey levels squared a pixel.
       Eigen::Vector3f e = Eigen::Vector3f::Zero();
       float prior_weight = 0.0f;
@@ -151,45 +151,28 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       // A step that made the agreement worse is taken back; what is left to gain here is below the noise.
       if (it > 0 && (cost > cost_old || used < used_old / 2)) {
         T = T_old;
-        gain = gain_old;
-        offset = offset_old;
         break;
       }
       result.patches = used;
       result.rms = std::sqrt(cost);
       if (used < 6) break;
-      // The picture's gradients are the reference's times the gain: with the columns of the motion left as they are,
-      // what is solved for is the motion times the gain.
-      const float g = std::max(gain, kMinGain);
-      // Gain and offset are weakly held to what they were, so that a flat picture cannot send them anywhere.
-      H(6, 6) += 1.0f;
-      H(7, 7) += 1.0f;
       if (prior_weight > 0.0f) {
-        H.block<3, 3>(3, 3) += prior_weight / (g * g) * Eigen::Matrix3f::Identity();
-        b.segment<3>(3) -= prior_weight / g * e;
+        H.block<3, 3>(3, 3) += prior_weight * Eigen::Matrix3f::Identity();
+        b.segment<3>(3) -= prior_weight * e;
       }
-      VecP x = H.ldlt().solve(b);
-      x.head<6>() /= g;
+      const Vec6f x = H.ldlt().solve(b);
       if (!x.allFinite()) break;
       T_old = T;
-      gain_old = gain;
-      offset_old = offset;
       cost_old = cost;
       used_old = used;
-      T = T * SE3::exp(-x.head<6>().cast<double>());
-      const float dgain = x(6) / kIntensityUnit;
-      gain += dgain;
-      offset += x(7) - dgain * kIntensityCentre;
+      T = T * SE3::exp(-x.cast<double>());
       // Converged when the step moves no pixel of this level by a noticeable part.
-      const float step_px =
-          x.head<6>().cwiseAbs().maxCoeff() * static_cast<float>(camera_.fx()) / static_cast<float>(1 << level);
+      const float step_px = x.cwiseAbs().maxCoeff() * static_cast<float>(camera_.fx()) / static_cast<float>(1 << level);
       if (step_px < 0.03f) break;
     }
   }
   result.T_cur_ref = T;
   result.T_cur_ref.normalize();
-  result.gain = gain;
-  result.offset = offset;
   return result;
 }
 

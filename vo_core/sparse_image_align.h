@@ -1,5 +1,6 @@
 // Sparse model-based image alignment (Forster et al. 2014, section IV-A; the paper, section 2.5): the motion between
-// two frames that makes the small patches around known points agree, inverse compositional, coarse to fine.
+// two frames that makes the small patches around known points agree, inverse compositional, coarse to fine. Each patch
+// has a gain and an offset of its own.
 #pragma once
 
 #include <array>
@@ -40,10 +41,8 @@ struct AlignShutter {
 
 struct SparseAlignResult {
   SE3 T_cur_ref;
-  int patches = 0;    ///< patches that took part at the finest level
-  float rms = 0.0f;   ///< robustly weighted residual there [grey levels]
-  float gain = 1.0f;  ///< I_cur = gain * I_ref + offset
-  float offset = 0.0f;
+  int patches = 0;   ///< patches that took part at the finest level
+  float rms = 0.0f;  ///< robustly weighted residual there [grey levels]
 };
 
 /// Works in its own fixed buffers; run() does not allocate.
@@ -56,16 +55,15 @@ class SparseImageAlign {
                         const SE3& T_init, const RotationPrior& prior, const AlignShutter& shutter = {});
 
  private:
-  static constexpr int kParams = 8;  // translation, rotation, gain, offset
-  using VecP = Eigen::Matrix<float, kParams, 1>;
-  using MatP = Eigen::Matrix<float, kParams, kParams>;
+  using Vec6f = Eigen::Matrix<float, 6, 1>;
+  using Mat6f = Eigen::Matrix<float, 6, 6>;
 
   struct Patch {
-    alignas(16) std::array<float, 16> value, gx, gy;  // grey levels; gradient in grey levels per level pixel
+    alignas(16) std::array<float, 16> value, gx, gy;  // grey levels less `mean`; gradient in grey levels a level pixel
+    float mean, per_value;                            // 1 over the values' squares and what holds the gain
+    Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
     Eigen::Matrix<float, 2, 6> J;                     // d level pixel / d twist of the reference point
-    Eigen::Matrix<float, 6, 1> ones, values;          // sums of J^T g and J^T g I over the patch
-    Eigen::Matrix<float, 6, 6> H;
-    float sum_i, sum_ii;
+    Mat6f H;
     Vec3 p_ref;
     double row;  ///< where it was last seen [level-0 px]
     bool visible;
@@ -74,8 +72,7 @@ class SparseImageAlign {
   /// Time at which a row is read, over the time between the frames, 0 at the capture time.
   double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
   void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
-  int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, float gain, float offset, MatP* H, VecP* b,
-                 float* cost);
+  int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b, float* cost);
 
   const CameraModel& camera_;
   SparseAlignOptions options_;

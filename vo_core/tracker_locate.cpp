@@ -174,7 +174,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (have_velocity_ && near && gap > 0) guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     align_with_last(in, frame, guess, result);
-    if (measure(in, near && frame->crowded, frame, least_measurements(*frame), result)) {
+    if (measure(in, near && feature_count_ < options_.plenty, frame, least_measurements(*frame), result)) {
       const bool counts = result->measurements >= options_.health.min_measurements;
       const bool sure = few_but_sure(*frame, *result);
       const bool followed = near && unproved_ == 0;

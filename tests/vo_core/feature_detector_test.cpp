@@ -52,14 +52,15 @@ TEST(FeatureDetector, GivesTheWantedNumberWellSpread) {
     const Feature& f = features[i];
     levels.insert(f.level);
     EXPECT_EQ(f.type, FeatureType::kCorner);
-    EXPECT_GE(f.score, FeatureDetectorOptions{}.min_score);
+    EXPECT_GE(f.score, FeatureDetectorOptions{}.min_score * grey_noise_at(detector.noise(), f.level) *
+                           grey_noise_at(detector.noise(), f.level));
     const Eigen::Vector2i at = on_level(f, f.level);
     const rt::ImageView& level = pyramid.view().level[static_cast<std::size_t>(f.level)];
     EXPECT_GE(std::min(at.x(), at.y()), 8);
     EXPECT_LT(at.x(), level.width - 8);
     EXPECT_LT(at.y(), level.height - 8);
     EXPECT_EQ(f.score, FeatureDetector::shi_tomasi_score(level, at.x(), at.y()));
-    EXPECT_GT(fast_score(level, at.x(), at.y()), FeatureDetectorOptions{}.fast_threshold_min);
+    EXPECT_GT(fast_score(level, at.x(), at.y()), static_cast<int>(2.5f * grey_noise_at(detector.noise(), f.level)));
     for (std::size_t j = 0; j < i; ++j) EXPECT_GE((f.px - points[j]).norm(), 4.0f);
   }
   EXPECT_EQ(levels, (std::set<int>{0, 1, 2}));
@@ -102,7 +103,7 @@ TEST(FeatureDetector, LowersTheThresholdOnlyWhereTextureIsWeak) {
     for (int x = 30; x < 610; x += 40) picture.fill_rectangle(x, y, x + 20, y + 20, x < 320 ? 220 : 116);
   }
   const test::Pyramid pyramid(picture.view());
-  FeatureDetector detector(640, 480, {.min_score = 1.0f, .edgelets = false});
+  FeatureDetector detector(640, 480, {.edgelets = false});
   int weak = 0, strong = 0;
   for (const Feature& f : detect(detector, pyramid.view(), {}, {}, 300)) {
     const Eigen::Vector2i at = on_level(f, f.level);

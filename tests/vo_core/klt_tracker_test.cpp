@@ -1,6 +1,9 @@
 #include "vo_core/klt_tracker.h"
 
+#include <algorithm>
+#include <cmath>
 #include <gtest/gtest.h>
+#include <random>
 
 #include "tests/vo_core/synthetic_scene.h"
 
@@ -8,6 +11,8 @@ namespace godwit::vo {
 namespace klt_tracker_test {
 
 using namespace test;  // NOLINT: the pictures of this folder's tests
+
+constexpr float kNoise = 1.0f;  ///< of the pictures' grey levels; they have none
 
 /// The texture moved by (dx, dy) px: a feature at p is found at p + d.
 Picture moved(double dx, double dy, double gain = 1.0, double offset = 0.0) {
@@ -39,7 +44,7 @@ TEST(KltTracker, FindsSubPixelShiftsOfEverySize) {
   const Pyramid reference(first.view());
   KltTracker tracker({});
   for (const Vec2f& d : {Vec2f(0.3f, -0.7f), Vec2f(4.25f, 3.5f), Vec2f(-9.6f, 5.1f)}) {
-    const int alive = tracker.set_reference(reference.view(), grid());
+    const int alive = tracker.set_reference(reference.view(), grid(), kNoise);
     ASSERT_GT(alive, 80);
     const Picture second = moved(static_cast<double>(d.x()), static_cast<double>(d.y()));
     EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10) << d.transpose();
@@ -50,16 +55,50 @@ TEST(KltTracker, FindsSubPixelShiftsOfEverySize) {
 TEST(KltTracker, BrightnessGainAndOffsetDoNotMoveTheTracks) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid());
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
   const Picture second = moved(2.4, -1.3, 0.7, 40.0);
   EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10);
   EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.08);
 }
 
+// A step is as long as the picture's gradients say: in a picture more than twice as bright steps of the reference's
+// length go to and fro.
+TEST(KltTracker, TracksComeThroughWhenTheLightDoubles) {
+  const Picture first = moved(0, 0, 0.35, 10.0);
+  KltTracker tracker({});
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
+  ASSERT_GT(alive, 80);
+  const Picture second = moved(2.4, -1.3, 1.0, 10.0);
+  EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10);
+  EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.1);
+}
+
+// Snow: a texture no stronger than the grey noise. On coarser levels, where noise averages out, it stands out.
+TEST(KltTracker, FaintTextureIsFollowedOnALevelWhereItStandsOutFromTheNoise) {
+  const auto noisy = [](Picture picture, unsigned seed) {
+    std::mt19937 rng(seed);
+    std::normal_distribution<double> noise(0.0, 2.5);
+    for (int y = 0; y < 240; ++y)
+      for (int x = 0; x < 320; ++x)
+        picture(x, y) = static_cast<std::uint8_t>(std::clamp(std::lround(picture(x, y) + noise(rng)), 0L, 255L));
+    return picture;
+  };
+  const Picture first = noisy(moved(0, 0, 0.12, 120.0), 1);
+  KltTracker tracker({});
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), 2.5f);
+  EXPECT_GT(alive, 60);
+  int coarse = 0;
+  for (const KltTrack& t : tracker.tracks()) coarse += t.alive && t.level > 0;
+  EXPECT_GT(coarse, alive / 2);
+  const Picture second = noisy(moved(2.4, -1.3, 0.12, 120.0), 2);
+  EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 3 / 4);
+  EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.4);
+}
+
 TEST(KltTracker, DoesNotDriftOverManyFrames) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
-  tracker.set_reference(Pyramid(first.view()).view(), grid());
+  tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
   for (int k = 1; k <= 40; ++k) {
     const Picture next = moved(0.37 * k, -0.21 * k);
     tracker.track(Pyramid(next.view()).view());
@@ -70,7 +109,7 @@ TEST(KltTracker, DoesNotDriftOverManyFrames) {
 TEST(KltTracker, OtherContentAndEmptyPicturesKillTheTracks) {
   const Picture first = moved(0, 0), grey(320, 240, 128), other = rectangles(320, 240, 300, 9);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid());
+  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
   EXPECT_LT(tracker.track(Pyramid(other.view()).view()), alive / 20);
   EXPECT_EQ(tracker.track(Pyramid(grey.view()).view()), 0);
   EXPECT_EQ(tracker.track(Pyramid(first.view()).view()), 0) << "a dead track must not come back";
@@ -79,16 +118,16 @@ TEST(KltTracker, OtherContentAndEmptyPicturesKillTheTracks) {
 TEST(KltTracker, FlatPatchesAndPatchesOutsideAreNeverAlive) {
   const Picture grey(320, 240, 128), first = moved(0, 0);
   KltTracker tracker({});
-  EXPECT_EQ(tracker.set_reference(Pyramid(grey.view()).view(), grid()), 0);
+  EXPECT_EQ(tracker.set_reference(Pyramid(grey.view()).view(), grid(), kNoise), 0);
   const std::vector<Vec2f> outside{{2, 100}, {318, 100}, {100, 2}, {100, 238}, {-50, -50}, {1e9f, 5}, {NAN, 50}};
-  EXPECT_EQ(tracker.set_reference(Pyramid(first.view()).view(), outside), 0);
+  EXPECT_EQ(tracker.set_reference(Pyramid(first.view()).view(), outside, kNoise), 0);
 }
 
 TEST(KltTracker, TakesNoMoreThanItsCapacity) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
   const std::vector<Vec2f> many(KltTracker::kMaxTracks + 50, Vec2f(100, 100));
-  tracker.set_reference(Pyramid(first.view()).view(), many);
+  tracker.set_reference(Pyramid(first.view()).view(), many, kNoise);
   EXPECT_EQ(tracker.tracks().size(), static_cast<std::size_t>(KltTracker::kMaxTracks));
 }
 

@@ -77,7 +77,8 @@ TEST(SparseImageAlign, OneStepTakesASmallMotionAway) {
       // About a third of a pixel of this level.
       const Vec6 off = (k < 3 ? 0.006 : 0.003) * Vec6::Unit(k);
       const SparseAlignResult r = align.run(ref.pyramid, ref.pyramid, f.points, SE3::exp(off), {}, {readout, 0.5});
-      EXPECT_LT(r.T_cur_ref.log().norm(), 0.4 * off.norm()) << k << ", readout " << readout;
+      // Each patch has a gain of its own, which takes up part of the motion along its slope.
+      EXPECT_LT(r.T_cur_ref.log().norm(), 0.5 * off.norm()) << k << ", readout " << readout;
     }
   }
 }
@@ -101,7 +102,25 @@ TEST(SparseImageAlign, ADarkerExposureChangesNothing) {
   const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
   EXPECT_LT(e.head<3>().norm(), 0.006);
   EXPECT_LT(e.tail<3>().norm(), 0.003);
-  EXPECT_NEAR(r.gain, 0.7f, 0.06f);
+}
+
+// Lamps on the mains behind a rolling shutter: rows are lit by factors of 0.5 to 1.5, in bands that move.
+TEST(SparseImageAlign, BandsOfLightChangeNothing) {
+  Fixture f;
+  const auto lit = [](test::Picture picture, double phase) {
+    for (int y = 0; y < picture.view().height; ++y) {
+      const double light = 1.0 + 0.5 * std::sin(2.0 * 3.141592653589793 * (2.0 * y / picture.view().height + phase));
+      for (int x = 0; x < picture.view().width; ++x)
+        picture(x, y) = static_cast<std::uint8_t>(std::lround(0.66 * light * picture(x, y)));
+    }
+    return picture;
+  };
+  const View ref(lit(f.scene.render(f.camera, f.T_ref), 0.0)), cur(lit(f.scene.render(f.camera, f.T_cur), 0.33));
+  SparseImageAlign align(f.camera, f.options());
+  const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, f.points, SE3(), {});
+  const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
+  EXPECT_LT(e.head<3>().norm(), 0.02);
+  EXPECT_LT(e.tail<3>().norm(), 0.01);
 }
 
 // A step is as long as the picture's gradients say, not the reference's: whatever the exposure, so many steps lead as
