@@ -75,4 +75,20 @@ int decompose_homography(const Mat3& H, double min_translation, std::array<Plane
   return count;
 }
 
+bool other_motion_of_plane(const SE3& T_b_a, const Vec3& plane, SE3* other) {
+  std::array<PlaneMotion, 4> motions;
+  const double distance = 1.0 / plane.norm();
+  const int count = decompose_homography(T_b_a.R + T_b_a.t * plane.transpose(), 1e-4, &motions);
+  double farthest = -1.0;
+  for (int k = 0; k < count; ++k) {
+    const PlaneMotion& motion = motions[static_cast<std::size_t>(k)];
+    if (!(motion.normal.z() * plane.z() > 0)) continue;
+    const double apart = (motion.T_b_a.R - T_b_a.R).norm();
+    if (apart < farthest) continue;
+    farthest = apart;
+    *other = SE3(motion.T_b_a.R, motion.T_b_a.t * distance);
+  }
+  return farthest >= 0;
+}
+
 }  // namespace godwit::vo

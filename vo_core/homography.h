@@ -24,4 +24,8 @@ struct PlaneMotion {
 /// is a rotation within `min_translation` (|t| / distance) or singular: no plane to be found. No allocation.
 int decompose_homography(const Mat3& H, double min_translation, std::array<PlaneMotion, 4>* motions);
 
+/// The other motion that shows the plane n . p = 1 as T_b_a does, translation in its unit: the second pair of the four
+/// above. Where the motion is along the normal both fall together. False if there is none with the plane in front.
+bool other_motion_of_plane(const SE3& T_b_a, const Vec3& plane, SE3* other);
+
 }  // namespace godwit::vo

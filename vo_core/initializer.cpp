@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include "vo_core/homography.h"
 #include "vo_core/klt_tracker.h"
 #include "vo_core/multi_view_refine.h"
 #include "vo_core/rotation_fit.h"
@@ -101,7 +102,7 @@ struct Initializer::Impl {
   int count = 0;
   std::array<int, kMaxTracks> track_of;
   std::vector<Vec2> ref_xy, cur_xy, gathered, ref_px, cur_px;
-  std::vector<double> scratch, depth_sigma;
+  std::vector<double> scratch, depth_sigma, apart;
   std::vector<std::uint8_t> good;
   std::array<Solution, 4> solutions;
   std::array<int, 4> order{};  ///< of the solutions, best first
@@ -118,7 +119,7 @@ struct Initializer::Impl {
     starts.resize(kMaxTracks);
     history.resize(kHistory);
     for (auto* v : {&ref_xy, &cur_xy, &gathered, &ref_px, &cur_px}) v->resize(kMaxTracks);
-    for (auto* v : {&scratch, &depth_sigma}) v->resize(kMaxTracks);
+    for (auto* v : {&scratch, &depth_sigma, &apart}) v->resize(kMaxTracks);
     good.resize(kMaxTracks);
     points.resize(kMaxTracks);
   }
@@ -182,11 +183,12 @@ struct Initializer::Impl {
     drop_coarse(&report.tracks);
     for (int i = 0; i < found; ++i) {
       const auto k = static_cast<std::size_t>(i);
-      if (tracker.tracks()[k].alive && !to_plane(starts[k], &first.xy[k])) {
+      const Vec2f place = starts[k] + tracker.tracks()[k].centre;
+      if (tracker.tracks()[k].alive && !to_plane(place, &first.xy[k])) {
         tracker.drop(i);
         --report.tracks;
       }
-      first.row[k] = row_of(starts[k]);
+      first.row[k] = row_of(place);
       first.velocity[k].setZero();
     }
     frames = 0;
@@ -212,11 +214,12 @@ struct Initializer::Impl {
       const auto k = static_cast<std::size_t>(i);
       const KltTrack& track = tracker.tracks()[k];
       if (!track.alive) continue;
-      if (is_masked(mask, track.px) || !to_plane(track.px, &view.xy[k])) {
+      const Vec2f place = track.px + track.centre;
+      if (is_masked(mask, place) || !to_plane(place, &view.xy[k])) {
         tracker.drop(i);
         continue;
       }
-      view.row[k] = row_of(track.px);
+      view.row[k] = row_of(place);
       differentiate(k, &view);
       const auto n = static_cast<std::size_t>(count++);
       track_of[n] = i;
@@ -306,6 +309,57 @@ struct Initializer::Impl {
     return accepted;
   }
 
+  /// If the points are a plane, there is a second motion that shows it alike: from there to the bottom, as the last
+  /// solution. Elsewhere that falls back into the best one, or costs far more.
+  void add_other_motion_of_plane(int views) {
+    const Solution& best = solution(0);
+    const SE3& T = best.state.T_view_ref[static_cast<std::size_t>(views - 1)];
+    Mat3 A = Mat3::Zero();
+    Vec3 b = Vec3::Zero();
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
+      A.noalias() += ray * ray.transpose();
+      b.noalias() += best.state.inverse_depth[p] * ray;
+    }
+    TwoViewCandidate other;
+    if (!other_motion_of_plane(T, A.ldlt().solve(b), &other.T_b_a)) return;
+    other.T_b_a.t.normalize();
+    other.model = InitModel::kHomography;
+    // `order` holds every solution once: what is kept stands first, the place after it is free.
+    solve(other, views, &solution(solution_count));
+    for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(solution_count).state);
+    rank(++solution_count);
+  }
+
+  /// What a second minimum says of the first, if it fits about as well. With other depths it makes the map ambiguous.
+  /// With almost the same it is an error bar: a plane, and a motion along its normal, have two minima that move apart
+  /// with the root of the noise, the truth between them, and the curvature at either knows nothing of the other.
+  void compare(const Solution& best, const Solution& other, InitReport* report) {
+    int n = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (good[p] == 0) continue;
+      apart[p] = other.state.inverse_depth[p] / best.state.inverse_depth[p];
+      scratch[static_cast<std::size_t>(n++)] = apart[p];
+    }
+    const double scale = median(n), ratio = best.cost / other.cost;
+    if (!(scale > 0)) return;  // the best one turned inside out, all points behind the cameras: no world
+    n = 0;
+    for (int i = 0; i < count; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (good[p] == 0) continue;
+      apart[p] = std::abs(apart[p] / scale - 1.0);
+      scratch[static_cast<std::size_t>(n++)] = apart[p];
+    }
+    if (median(n) > options.max_depth_uncertainty) {
+      report->ambiguity = std::max(report->ambiguity, ratio);
+    } else if (ratio > options.max_ambiguity) {
+      for (std::size_t p = 0; p < static_cast<std::size_t>(count); ++p)
+        if (good[p] != 0) depth_sigma[p] = std::hypot(depth_sigma[p], apart[p]);
+    }
+  }
+
   /// The camera's velocity (left twist rate of its T_cam_world) that moves the accepted points as their tracks did at
   /// the view: least squares on the plane z = 1. scale: of the points' depths.
   Vec6 camera_velocity(const View& view, const SE3& T_view_ref, const MultiViewState& state, double scale) const {
@@ -352,11 +406,12 @@ struct Initializer::Impl {
       const double depth = scale / state.inverse_depth[p];
       const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
       const KltTrack& seen = tracker.tracks()[track];
-      points[static_cast<std::size_t>(point_count++)] = {seen.px_ref,
-                                                         seen.px,
-                                                         to_picture(ref_xy[p], seen.px_ref),
-                                                         to_picture(cur_xy[p], seen.px),
-                                                         std::max(features[track].level, tracker.tracks()[track].level),
+      const Vec2f px_ref = seen.px_ref + seen.centre, px_cur = seen.px + seen.centre;
+      points[static_cast<std::size_t>(point_count++)] = {px_ref,
+                                                         px_cur,
+                                                         to_picture(ref_xy[p], px_ref),
+                                                         to_picture(cur_xy[p], px_cur),
+                                                         std::max(features[track].level, seen.level),
                                                          depth * ray,
                                                          depth_sigma[p] * depth * ray.norm()};
     }
@@ -396,7 +451,7 @@ struct Initializer::Impl {
       solve(candidate, views, &solutions[static_cast<std::size_t>(solution_count++)]);
     }
     if (solution_count == 0) return;
-    for (int k = 0; k < solution_count; ++k) order[static_cast<std::size_t>(k)] = k;
+    for (int k = 0; k < static_cast<int>(solutions.size()); ++k) order[static_cast<std::size_t>(k)] = k;
     rank(solution_count);
     // Candidates of both models often fall into the same minimum: each minimum is followed to its bottom once.
     const auto last = static_cast<std::size_t>(views - 1);
@@ -411,16 +466,15 @@ struct Initializer::Impl {
     for (int k = 0; k < solution_count; ++k)
       for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(k).state);
     rank(solution_count);
+    if (solution_count < 2 || same_motion(solution(0).state.T_view_ref[last], solution(1).state.T_view_ref[last]))
+      add_other_motion_of_plane(views);
     Solution& s = solution(0);
-    for (int k = 1; k < solution_count; ++k) {
-      if (same_motion(s.state.T_view_ref[last], solution(k).state.T_view_ref[last])) continue;
-      report->ambiguity = std::max(report->ambiguity, s.cost / solution(k).cost);
-    }
     report->noise_px = refiner.sigma(s.state);
     report->points = judge(s.state, report->noise_px);
     if (report->points < options.min_points) return;
     report->status = InitStatus::kNoParallax;
     if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n})) return;
+    for (int k = 1; k < solution_count; ++k) compare(s, solution(k), report);
 
     int m = 0;
     for (std::size_t i = 0; i < n; ++i)

@@ -25,6 +25,7 @@ struct Template {
   float mean = 1;                                  ///< removed from `intensity`, at least 1
   float norm = 0;                                  ///< length of `intensity`
   float signal = 1;                                ///< share of its variance that is not noise
+  Vec2f centre = Vec2f::Zero();                    ///< of the gradients' energy, from the patch's centre [px of its level]
   bool valid = false;
 };
 
@@ -127,6 +128,15 @@ bool make_template(const rt::ImageView& image, const Vec2f& px, float noise, flo
     xy += t->gx[k] * t->gy[k];
     yy += t->gy[k] * t->gy[k];
   }
+  float cx = 0, cy = 0;
+  for (int j = 0; j < P; ++j) {
+    for (int i = 0; i < P; ++i) {
+      const int k = j * P + i;
+      const float energy = t->gx[k] * t->gx[k] + t->gy[k] * t->gy[k];
+      cx += energy * static_cast<float>(i - P / 2);
+      cy += energy * static_cast<float>(j - P / 2);
+    }
+  }
   const float half_trace = 0.5f * (xx + yy);
   const float smaller = half_trace - std::sqrt(0.25f * (xx - yy) * (xx - yy) + xy * xy);
   if (!(smaller > min_eigenvalue * noise * noise * n)) return false;
@@ -137,6 +147,7 @@ bool make_template(const rt::ImageView& image, const Vec2f& px, float noise, flo
   t->mean = std::max(mean / n, 1.0f);
   t->norm = std::sqrt(tt);
   t->signal = std::max(0.5f, 1.0f - noise * noise * n / tt);
+  t->centre = Vec2f(cx, cy) / (xx + yy);
   t->valid = true;
   return true;
 }
@@ -243,12 +254,13 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
     const Vec2f& p = px[static_cast<std::size_t>(i)];
     Impl::Patches& patch = m.patches[static_cast<std::size_t>(i)];
     KltTrack& track = m.tracks[static_cast<std::size_t>(i)];
-    track = {p, p, 1.0f, 0, false};
+    track = KltTrack{.px_ref = p, .px = p};
     for (int level = 0; level < std::min(kFineLevels, reference.levels) && !track.alive; ++level) {
       track.level = static_cast<std::int8_t>(level);
       track.alive = make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
                                   grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &patch.fine);
     }
+    if (track.alive) track.centre = patch.fine.centre * static_cast<float>(1 << track.level);
     for (int level = 1; level < kLevels; ++level) {
       auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
       t.valid = false;
