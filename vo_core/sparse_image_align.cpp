@@ -13,6 +13,8 @@ constexpr int kHalf = 2;  // 4x4 patch: pixels -2..+1 around the point
 /// under lamps on the mains a rolling shutter sees rows at 0.5 to 2 of what they were. Its offset is free.
 constexpr float kGainSigma = 0.5f, kResidualSigma = 4.0f;
 constexpr float kGainPrior = (kResidualSigma / kGainSigma) * (kResidualSigma / kGainSigma);
+/// A patch weighs no less than this for want of contrast, and noise of a grey level makes no contrast [sum over it].
+constexpr float kLeastShare = 0.01f, kNoiseVariance = 16.0f;
 constexpr float kMaxGain = 5.0f;  // and its inverse, as in feature_align
 }  // namespace
 
@@ -61,6 +63,7 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
     // The patch's own gain and offset are eliminated (Schur complement); its values have no mean, so that they do not
     // mix.
     patch.mean = mean;
+    patch.vv = vv;
     patch.per_value = 1.0f / (vv + kGainPrior);
     patch.g1 = g1;
     patch.gv = gv;
@@ -104,7 +107,8 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
     }
     const float sum_1 = hn::GetLane(hn::SumOfLanes(df, s1)), sum_v = hn::GetLane(hn::SumOfLanes(df, sv));
     const float offset = sum_1 / 16.0f, more_gain = sum_v * patch.per_value;
-    const float squares = hn::GetLane(hn::SumOfLanes(df, srr)) - sum_1 * offset - sum_v * more_gain;
+    const float sum_rr = hn::GetLane(hn::SumOfLanes(df, srr));
+    const float squares = sum_rr - sum_1 * offset - sum_v * more_gain;
     const float mean_square = std::max(squares, 0.0f) / 16.0f;
     const float rms = std::sqrt(mean_square);
     const float w = rms <= options_.huber_px ? 1.0f : options_.huber_px / rms;
@@ -113,11 +117,14 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
     ++used;
     const Vec2f rg = Vec2f(hn::GetLane(hn::SumOfLanes(df, sgx)), hn::GetLane(hn::SumOfLanes(df, sgy))) -
                      patch.gv * more_gain - patch.g1 * offset;
-    *H += w * patch.H;
     // The picture's gradients are the reference's times the gain: of the light, which the means tell wherever the patch
-    // lies.
-    const float gain = (patch.mean + offset) / std::max(patch.mean, 1.0f);
-    b->noalias() += w / std::clamp(gain, 1.0f / kMaxGain, kMaxGain) * (patch.J.transpose() * rg);
+    // lies. Less contrast than that light would leave is glare or a white that took all: there is little to read there,
+    // and unweighted it would hold the step back.
+    const float gain = std::clamp((patch.mean + offset) / std::max(patch.mean, 1.0f), 1.0f / kMaxGain, kMaxGain);
+    const float variance = patch.vv + 2.0f * sum_v + sum_rr - sum_1 * offset;
+    const float information = w * std::clamp(variance / (gain * gain * patch.vv + kNoiseVariance), kLeastShare, 1.0f);
+    *H += information * patch.H;
+    b->noalias() += information / gain * (patch.J.transpose() * rg);
   }
   *cost = weight_sum > 0 ? total / weight_sum : 0.0f;
   return used;

@@ -60,7 +60,7 @@ class SparseImageAlign {
 
   struct Patch {
     alignas(16) std::array<float, 16> value, gx, gy;  // grey levels less `mean`; gradient in grey levels a level pixel
-    float mean, per_value;                            // 1 over the values' squares and what holds the gain
+    float mean, vv, per_value;                        // squares of the values; 1 over them and what holds the gain
     Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
     Eigen::Matrix<float, 2, 6> J;                     // d level pixel / d twist of the reference point
     Mat6f H;
