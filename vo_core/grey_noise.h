@@ -14,9 +14,9 @@ namespace godwit::vo {
 /// quarter of the picture is read.
 float grey_noise(const rt::ImageView& image);
 
-/// Rounding to whole grey levels alone is 0.29; what compression and denoising leave is not white, and counts as this. Of
-/// 14 starts at euroc_mh01's slow beginning (compressed, 0.4 by its pixels) the mean error is 4.9 mm with 1, 4.5 with 1.5,
-/// 4.9 with 2, 5.1 with 3.
+/// Rounding to whole grey levels alone is 0.29; what compression and denoising leave is not white, and counts as this.
+/// Of 14 starts at euroc_mh01's slow beginning (compressed, 0.4 by its pixels) the mean error is 4.9 mm with 1, 4.5
+/// with 1.5, 4.9 with 2, 5.1 with 3.
 constexpr float kLeastGreyNoise = 1.5f;
 
 /// Of the mean of 4^level pixels, which a pyramid level shows: white noise halves from level to level, rounding anew at

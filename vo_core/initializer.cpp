@@ -8,18 +8,14 @@
 #include <vector>
 
 #include "vo_core/homography.h"
-#include "vo_core/klt_tracker.h"
+#include "vo_core/initial_tracks.h"
 #include "vo_core/multi_view_refine.h"
 #include "vo_core/rotation_fit.h"
 
 namespace godwit::vo {
 namespace {
 
-constexpr int kMaxTracks = KltTracker::kMaxTracks;
-/// Views since the first that are remembered; when full, every second one is forgotten.
-constexpr int kHistory = 24;
-/// A view further than this from the optical axis cannot be written on the plane z = 1.
-constexpr double kMinBearingZ = 0.2;
+constexpr int kMaxTracks = InitialTracks::kMaxTracks;
 /// Two motions differ if their directions or their rotations do by more than this.
 constexpr double kSameDirectionRad = 0.17, kSameRotationRad = 0.01;
 /// A candidate motion needs this share of the model's inliers in front of both cameras. Low on purpose: far points
@@ -31,25 +27,10 @@ constexpr int kMaxPostponed = 3;
 /// Minima of the adjustment that are followed to the bottom; the two of a plane, normally.
 constexpr int kMaxMinima = 2;
 
-bool is_masked(const rt::MaskPyramidView& mask, const Vec2f& px) {
-  if (mask.levels == 0) return false;
-  const rt::ImageView& m = mask.level[0];
-  const int x = static_cast<int>(std::lround(px.x())), y = static_cast<int>(std::lround(px.y()));
-  return x < 0 || y < 0 || x >= m.width || y >= m.height || m.at(x, y) != 0;
-}
-
 bool same_motion(const SE3& a, const SE3& b) {
   const double c = a.t.normalized().dot(b.t.normalized());
   return std::acos(std::clamp(c, -1.0, 1.0)) < kSameDirectionRad &&
          so3_log(a.R.transpose() * b.R).norm() < kSameRotationRad;
-}
-
-FeatureDetectorOptions detector_options() {
-  FeatureDetectorOptions o;
-  o.levels = 3;
-  o.border_px = KltTracker::kFinePatch / 2 + 4;
-  o.edgelets = false;
-  return o;
 }
 
 TwoViewOptions two_view_options(const InitializerOptions& o) {
@@ -59,19 +40,6 @@ TwoViewOptions two_view_options(const InitializerOptions& o) {
 }  // namespace
 
 struct Initializer::Impl {
-  /// A past view: where the tracks lay on the plane z = 1.
-  struct View {
-    std::array<Vec2, kMaxTracks> xy;
-    std::array<Vec2, kMaxTracks> velocity;  ///< per frame interval
-    std::array<double, kMaxTracks> row;     ///< -0.5 top .. 0.5 bottom
-    double parallax_px = 0;
-
-    /// Where the track would lie had the whole picture been taken when its middle row was: moved along the track's own
-    /// way by what a rolling shutter was early or late. Needs no model of the motion.
-    Vec2 at_middle_row(std::size_t track, double readout) const {
-      return xy[track] - readout * row[track] * velocity[track];
-    }
-  };
   struct Solution {
     MultiViewState state;
     InitModel model = InitModel::kNone;
@@ -80,29 +48,18 @@ struct Initializer::Impl {
 
   CameraModel camera;
   InitializerOptions options;
-  FeatureDetector detector;
-  KltTracker tracker{KltOptions{}};
+  InitialTracks tracks;
   TwoViewGeometry two_view;
   MultiViewRefiner refiner;
 
   bool started = false;
-  std::vector<Feature> features;
-  std::vector<Vec2f> starts;
-  View first;
-  std::array<Vec2, kMaxTracks> previous, before_previous;  ///< xy of the last two frames
-  int frames = 0;                                          ///< since the first view
-  double next_parallax_px = 0;                             ///< no attempt before
-  InitStatus refused = InitStatus::kNoParallax;            ///< why the last attempt failed
-  int next_frame = 0;                                      ///< an attempt again at the latest
-  std::vector<View> history;
-  int history_count = 0;
-  Mat3 R_cur_ref = Mat3::Identity();  ///< best pure rotation to the latest view
+  double next_parallax_px = 0;                   ///< no attempt before
+  InitStatus refused = InitStatus::kNoParallax;  ///< why the last attempt failed
+  int next_frame = 0;                            ///< an attempt again at the latest
+  Mat3 R_cur_ref = Mat3::Identity();             ///< best pure rotation to the latest view
 
-  // The living tracks, packed.
-  int count = 0;
-  std::array<int, kMaxTracks> track_of;
-  std::vector<Vec2> ref_xy, cur_xy, gathered, ref_px, cur_px;
-  std::vector<double> scratch, depth_sigma, apart;
+  std::vector<Vec2> gathered, ref_px, cur_px;
+  std::vector<double> scratch, depth_sigma;
   std::vector<std::uint8_t> good;
   std::array<Solution, 4> solutions;
   std::array<int, 4> order{};  ///< of the solutions, best first
@@ -114,43 +71,14 @@ struct Initializer::Impl {
   int point_count = 0;
 
   Impl(const CameraModel& c, const InitializerOptions& o)
-      : camera(c), options(o), detector(c.width(), c.height(), detector_options()), two_view(two_view_options(o)) {
-    features.resize(kMaxTracks);
-    starts.resize(kMaxTracks);
-    history.resize(kHistory);
-    for (auto* v : {&ref_xy, &cur_xy, &gathered, &ref_px, &cur_px}) v->resize(kMaxTracks);
-    for (auto* v : {&scratch, &depth_sigma, &apart}) v->resize(kMaxTracks);
+      : camera(c), options(o), tracks(c, o.readout), two_view(two_view_options(o)) {
+    for (auto* v : {&gathered, &ref_px, &cur_px}) v->resize(kMaxTracks);
+    for (auto* v : {&scratch, &depth_sigma}) v->resize(kMaxTracks);
     good.resize(kMaxTracks);
     points.resize(kMaxTracks);
   }
 
   double focal() const { return 1.0 / camera.rad_per_px(); }
-
-  /// Pixel to the plane z = 1; false beyond kMinBearingZ.
-  bool to_plane(const Vec2f& px, Vec2* xy) const {
-    const Vec3 bearing = camera.unproject(px.cast<double>());
-    if (!(bearing.z() > kMinBearingZ)) return false;
-    *xy = bearing.head<2>() / bearing.z();
-    return true;
-  }
-
-  double row_of(const Vec2f& px) const { return (static_cast<double>(px.y()) + 0.5) / camera.height() - 0.5; }
-
-  /// Velocities of the newest view and, now that one more is known, of the views before it: differences of second
-  /// order.
-  void differentiate(std::size_t k, View* newest) {
-    const Vec2 x = newest->xy[k];
-    View& last = history_count > 0 ? history[static_cast<std::size_t>(history_count - 1)] : first;
-    if (frames == 1) {
-      newest->velocity[k] = first.velocity[k] = x - first.xy[k];
-    } else {
-      newest->velocity[k] = 1.5 * x - 2.0 * previous[k] + 0.5 * before_previous[k];
-      last.velocity[k] = 0.5 * (x - before_previous[k]);
-      if (frames == 2) first.velocity[k] = -1.5 * first.xy[k] + 2.0 * previous[k] - 0.5 * x;
-    }
-    before_previous[k] = frames == 1 ? first.xy[k] : previous[k];
-    previous[k] = x;
-  }
 
   double median(int n) {
     const auto middle = scratch.begin() + n / 2;
@@ -158,40 +86,10 @@ struct Initializer::Impl {
     return *middle;
   }
 
-  /// A track of a level further up is twice as uncertain, and the refinement weighs all alike: from the coarsest on
-  /// they go, as long as enough are left.
-  void drop_coarse(int* alive) {
-    for (int level = KltTracker::kFineLevels - 1; level > 0; --level) {
-      const auto is_coarse = [&](const KltTrack& t) { return t.alive && t.level == level; };
-      const int coarse = static_cast<int>(std::count_if(tracker.tracks().begin(), tracker.tracks().end(), is_coarse));
-      if (*alive - coarse < 2 * options.min_tracks) return;
-      for (int i = 0; i < static_cast<int>(tracker.tracks().size()); ++i)
-        if (is_coarse(tracker.tracks()[static_cast<std::size_t>(i)])) tracker.drop(i);
-      *alive -= coarse;
-    }
-  }
-
   InitReport start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitStatus status) {
     InitReport report;
-    started = false;
-    history_count = 0;
     R_cur_ref.setIdentity();
-    const int wanted = std::clamp(options.features, 1, kMaxTracks);
-    const int found = detector.detect(frame, mask, {}, wanted, features);
-    for (int i = 0; i < found; ++i) starts[static_cast<std::size_t>(i)] = features[static_cast<std::size_t>(i)].px;
-    report.tracks = tracker.set_reference(frame, {starts.data(), static_cast<std::size_t>(found)}, detector.noise());
-    drop_coarse(&report.tracks);
-    for (int i = 0; i < found; ++i) {
-      const auto k = static_cast<std::size_t>(i);
-      const Vec2f place = starts[k] + tracker.tracks()[k].centre;
-      if (tracker.tracks()[k].alive && !to_plane(place, &first.xy[k])) {
-        tracker.drop(i);
-        --report.tracks;
-      }
-      first.row[k] = row_of(place);
-      first.velocity[k].setZero();
-    }
-    frames = 0;
+    report.tracks = tracks.start(frame, mask, options.features, 2 * options.min_tracks);
     next_parallax_px = 0;
     next_frame = 0;
     started = report.tracks >= options.min_tracks;
@@ -199,50 +97,27 @@ struct Initializer::Impl {
     return report;
   }
 
-  /// Follows the tracks and packs those that live. Fills tracks and median_disparity_px.
-  void follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitReport* report) {
-    tracker.track(frame);
-    if (history_count == kHistory) {
-      for (int k = 0; 2 * k < kHistory; ++k)
-        history[static_cast<std::size_t>(k)] = history[static_cast<std::size_t>(2 * k + 1)];
-      history_count = kHistory / 2;
-    }
-    View& view = history[static_cast<std::size_t>(history_count)];
-    ++frames;
-    count = 0;
-    for (int i = 0; i < static_cast<int>(tracker.tracks().size()); ++i) {
-      const auto k = static_cast<std::size_t>(i);
-      const KltTrack& track = tracker.tracks()[k];
-      if (!track.alive) continue;
-      const Vec2f place = track.px + track.centre;
-      if (is_masked(mask, place) || !to_plane(place, &view.xy[k])) {
-        tracker.drop(i);
-        continue;
-      }
-      view.row[k] = row_of(place);
-      differentiate(k, &view);
-      const auto n = static_cast<std::size_t>(count++);
-      track_of[n] = i;
-      ref_xy[n] = first.at_middle_row(k, options.readout);
-      cur_xy[n] = view.at_middle_row(k, options.readout);
-      scratch[n] = static_cast<double>((track.px - track.px_ref).norm());
-    }
-    report->tracks = count;
-    if (count > 0) report->median_disparity_px = median(count);
+  /// Median of value(p) over the accepted tracks, of which there must be one.
+  template <typename Value>
+  double median_of_good(const Value& value) {
+    int n = 0;
+    for (std::size_t p = 0; p < static_cast<std::size_t>(tracks.count()); ++p)
+      if (good[p] != 0) scratch[static_cast<std::size_t>(n++)] = value(p);
+    return median(n);
   }
 
   /// Views for the refinement: the present one and, spread evenly over them, past ones that saw at least a quarter of
   /// its parallax. Returns how many; the last is the present one.
   int choose_views(std::array<int, MultiViewRefiner::kMaxViews>* chosen) const {
-    const double least = 0.25 * history[static_cast<std::size_t>(history_count - 1)].parallax_px;
-    std::array<int, kHistory> usable;
+    const double least = 0.25 * tracks.history(tracks.history_count() - 1).parallax_px;
+    std::array<int, InitialTracks::kHistory> usable;
     int n = 0;
-    for (int k = 0; k + 1 < history_count; ++k)
-      if (history[static_cast<std::size_t>(k)].parallax_px >= least) usable[static_cast<std::size_t>(n++)] = k;
+    for (int k = 0; k + 1 < tracks.history_count(); ++k)
+      if (tracks.history(k).parallax_px >= least) usable[static_cast<std::size_t>(n++)] = k;
     const int take = std::min(n, MultiViewRefiner::kMaxViews - 1);
     for (int k = 0; k < take; ++k)
       (*chosen)[static_cast<std::size_t>(k)] = usable[static_cast<std::size_t>((2 * k + 1) * n / (2 * take))];
-    (*chosen)[static_cast<std::size_t>(take)] = history_count - 1;
+    (*chosen)[static_cast<std::size_t>(take)] = tracks.history_count() - 1;
     return take + 1;
   }
 
@@ -253,15 +128,16 @@ struct Initializer::Impl {
     const int last = views - 1;
     for (int k = 0; k < views; ++k) state.T_view_ref[static_cast<std::size_t>(k)] = candidate.T_b_a;
     int positive = 0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
       double inverse_depth = 0;
-      if (!triangulate_inverse_depth(candidate.T_b_a, ref_xy[p], cur_xy[p], &inverse_depth)) inverse_depth = 0;
+      if (!triangulate_inverse_depth(candidate.T_b_a, tracks.ref_xy()[p], tracks.cur_xy()[p], &inverse_depth))
+        inverse_depth = 0;
       state.inverse_depth[p] = inverse_depth;
       if (inverse_depth > 0) scratch[static_cast<std::size_t>(positive++)] = inverse_depth;
     }
     const double typical = positive > 0 ? median(positive) : 1.0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       double& rho = state.inverse_depth[static_cast<std::size_t>(i)];
       if (!(rho > 0.1 * typical && rho < 10.0 * typical)) rho = typical;
     }
@@ -269,7 +145,7 @@ struct Initializer::Impl {
     const double length = state.T_view_ref[static_cast<std::size_t>(last)].t.norm();
     if (length > 1e-6) {  // the pose alone is free in length; the unit is the last view's distance
       state.T_view_ref[static_cast<std::size_t>(last)].t /= length;
-      for (int i = 0; i < count; ++i) state.inverse_depth[static_cast<std::size_t>(i)] *= length;
+      for (int i = 0; i < tracks.count(); ++i) state.inverse_depth[static_cast<std::size_t>(i)] *= length;
     }
     for (int k = last - 1; k >= 0; --k) {
       state.T_view_ref[static_cast<std::size_t>(k)] = state.T_view_ref[static_cast<std::size_t>(k + 1)];
@@ -293,14 +169,14 @@ struct Initializer::Impl {
   /// Marks the points that fit every view, lie in front and are neither absurdly near nor far. Returns their number.
   int judge(const MultiViewState& state, double noise_px) {
     int n = 0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
       if (state.inverse_depth[p] > 0) scratch[static_cast<std::size_t>(n++)] = state.inverse_depth[p];
     }
     if (n == 0) return 0;
     const double typical = median(n);
     int accepted = 0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
       const double rho = state.inverse_depth[p];
       good[p] = rho > 0.02 * typical && rho < 20.0 * typical && refiner.point_rms(state, i) < 2.5 * noise_px ? 1 : 0;
@@ -316,9 +192,9 @@ struct Initializer::Impl {
     const SE3& T = best.state.T_view_ref[static_cast<std::size_t>(views - 1)];
     Mat3 A = Mat3::Zero();
     Vec3 b = Vec3::Zero();
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
-      const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
+      const Vec3 ray(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0);
       A.noalias() += ray * ray.transpose();
       b.noalias() += best.state.inverse_depth[p] * ray;
     }
@@ -336,46 +212,36 @@ struct Initializer::Impl {
   /// With almost the same it is an error bar: a plane, and a motion along its normal, have two minima that move apart
   /// with the root of the noise, the truth between them, and the curvature at either knows nothing of the other.
   void compare(const Solution& best, const Solution& other, InitReport* report) {
-    int n = 0;
-    for (int i = 0; i < count; ++i) {
-      const auto p = static_cast<std::size_t>(i);
-      if (good[p] == 0) continue;
-      apart[p] = other.state.inverse_depth[p] / best.state.inverse_depth[p];
-      scratch[static_cast<std::size_t>(n++)] = apart[p];
-    }
-    const double scale = median(n), ratio = best.cost / other.cost;
+    const auto stretch = [&](std::size_t p) { return other.state.inverse_depth[p] / best.state.inverse_depth[p]; };
+    const double scale = median_of_good(stretch), ratio = best.cost / other.cost;
     if (!(scale > 0)) return;  // the best one turned inside out, all points behind the cameras: no world
-    n = 0;
-    for (int i = 0; i < count; ++i) {
-      const auto p = static_cast<std::size_t>(i);
-      if (good[p] == 0) continue;
-      apart[p] = std::abs(apart[p] / scale - 1.0);
-      scratch[static_cast<std::size_t>(n++)] = apart[p];
-    }
-    if (median(n) > options.max_depth_uncertainty) {
+    const auto apart = [&](std::size_t p) { return std::abs(stretch(p) / scale - 1.0); };
+    if (median_of_good(apart) > options.max_depth_uncertainty) {
       report->ambiguity = std::max(report->ambiguity, ratio);
     } else if (ratio > options.max_ambiguity) {
-      for (std::size_t p = 0; p < static_cast<std::size_t>(count); ++p)
-        if (good[p] != 0) depth_sigma[p] = std::hypot(depth_sigma[p], apart[p]);
+      for (std::size_t p = 0; p < static_cast<std::size_t>(tracks.count()); ++p)
+        if (good[p] != 0) depth_sigma[p] = std::hypot(depth_sigma[p], apart(p));
     }
   }
 
   /// The camera's velocity (left twist rate of its T_cam_world) that moves the accepted points as their tracks did at
   /// the view: least squares on the plane z = 1. scale: of the points' depths.
-  Vec6 camera_velocity(const View& view, const SE3& T_view_ref, const MultiViewState& state, double scale) const {
+  Vec6 camera_velocity(const InitialTracks::View& view, const SE3& T_view_ref, const MultiViewState& state,
+                       double scale) const {
     Mat6 H = Mat6::Zero();
     Vec6 b = Vec6::Zero();
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
       if (good[p] == 0) continue;
-      const Vec3 q = T_view_ref * (Vec3(ref_xy[p].x(), ref_xy[p].y(), 1.0) * (scale / state.inverse_depth[p]));
+      const Vec3 q =
+          T_view_ref * (Vec3(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0) * (scale / state.inverse_depth[p]));
       Mat23 to_plane;
       to_plane << 1.0, 0.0, -q.x() / q.z(), 0.0, 1.0, -q.y() / q.z();
       to_plane /= q.z();
       Mat26 J;
       J << to_plane, -to_plane * skew(q);
       H.noalias() += J.transpose() * J;
-      b.noalias() += J.transpose() * view.velocity[static_cast<std::size_t>(track_of[p])];
+      b.noalias() += J.transpose() * view.velocity[static_cast<std::size_t>(tracks.track_of(p))];
     }
     const Vec6 velocity = H.ldlt().solve(b);
     return velocity.allFinite() ? velocity : Vec6::Zero();
@@ -388,30 +254,24 @@ struct Initializer::Impl {
 
   /// Writes the accepted points with median depth 1 and returns the median of depth_sigma / depth.
   void publish(const MultiViewState& state, int views) {
-    int n = 0;
-    for (int i = 0; i < count; ++i) {
-      const auto p = static_cast<std::size_t>(i);
-      if (good[p] != 0) scratch[static_cast<std::size_t>(n++)] = 1.0 / state.inverse_depth[p];
-    }
-    const double scale = 1.0 / median(n);
+    const double scale = 1.0 / median_of_good([&](std::size_t p) { return 1.0 / state.inverse_depth[p]; });
     T_cur_ref = state.T_view_ref[static_cast<std::size_t>(views - 1)];
     T_cur_ref.t *= scale;
-    velocity_ref = camera_velocity(first, SE3(), state, scale);
-    velocity_cur = camera_velocity(history[static_cast<std::size_t>(history_count - 1)], T_cur_ref, state, scale);
+    velocity_ref = camera_velocity(tracks.first(), SE3(), state, scale);
+    velocity_cur = camera_velocity(tracks.latest(), T_cur_ref, state, scale);
     point_count = 0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
       if (good[p] == 0) continue;
-      const auto track = static_cast<std::size_t>(track_of[p]);
+      const auto track = static_cast<std::size_t>(tracks.track_of(p));
       const double depth = scale / state.inverse_depth[p];
-      const Vec3 ray(ref_xy[p].x(), ref_xy[p].y(), 1.0);
-      const KltTrack& seen = tracker.tracks()[track];
-      const Vec2f px_ref = seen.px_ref + seen.centre, px_cur = seen.px + seen.centre;
+      const Vec3 ray(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0);
+      const Vec2f px_ref = tracks.px_ref(track), px_cur = tracks.px_cur(track);
       points[static_cast<std::size_t>(point_count++)] = {px_ref,
                                                          px_cur,
-                                                         to_picture(ref_xy[p], px_ref),
-                                                         to_picture(cur_xy[p], px_cur),
-                                                         std::max(features[track].level, seen.level),
+                                                         to_picture(tracks.ref_xy()[p], px_ref),
+                                                         to_picture(tracks.cur_xy()[p], px_cur),
+                                                         static_cast<std::int8_t>(tracks.level(track)),
                                                          depth * ray,
                                                          depth_sigma[p] * depth * ray.norm()};
     }
@@ -421,12 +281,12 @@ struct Initializer::Impl {
 
   /// The decision on the packed tracks. The caller has found enough disparity and parallax.
   void decide(InitReport* report) {
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < tracks.count(); ++i) {
       const auto p = static_cast<std::size_t>(i);
-      ref_px[p] = focal() * ref_xy[p];
-      cur_px[p] = focal() * cur_xy[p];
+      ref_px[p] = focal() * tracks.ref_xy()[p];
+      cur_px[p] = focal() * tracks.cur_xy()[p];
     }
-    const auto n = static_cast<std::size_t>(count);
+    const auto n = static_cast<std::size_t>(tracks.count());
     const TwoViewResult pair = two_view.estimate({ref_px.data(), n}, {cur_px.data(), n}, focal());
     report->model = pair.model;
     report->inliers = pair.inliers;
@@ -436,11 +296,11 @@ struct Initializer::Impl {
 
     std::array<int, MultiViewRefiner::kMaxViews> chosen;
     const int views = choose_views(&chosen);
-    refiner.begin({ref_xy.data(), n}, focal(), options.min_noise_px);
+    refiner.begin({tracks.ref_xy().data(), n}, focal(), options.min_noise_px);
     for (int k = 0; k < views; ++k) {
-      const View& view = history[static_cast<std::size_t>(chosen[static_cast<std::size_t>(k)])];
+      const InitialTracks::View& view = tracks.history(chosen[static_cast<std::size_t>(k)]);
       for (std::size_t i = 0; i < n; ++i)
-        gathered[i] = view.at_middle_row(static_cast<std::size_t>(track_of[i]), options.readout);
+        gathered[i] = view.at_middle_row(static_cast<std::size_t>(tracks.track_of(i)), options.readout);
       refiner.add_view({gathered.data(), n});
     }
 
@@ -476,20 +336,13 @@ struct Initializer::Impl {
     if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n})) return;
     for (int k = 1; k < solution_count; ++k) compare(s, solution(k), report);
 
-    int m = 0;
-    for (std::size_t i = 0; i < n; ++i)
-      if (good[i] != 0) scratch[static_cast<std::size_t>(m++)] = depth_sigma[i];
-    report->depth_uncertainty = median(m);
-    m = 0;
-    for (std::size_t i = 0; i < n; ++i) {
-      if (good[i] == 0) continue;
-      const Vec3 ray(ref_xy[i].x(), ref_xy[i].y(), 1.0);
-      const Vec3 p = ray / s.state.inverse_depth[i];
-      const Vec3 centre = s.state.T_view_ref[last].inverse().t;
-      const double c = p.normalized().dot((p - centre).normalized());
-      scratch[static_cast<std::size_t>(m++)] = std::acos(std::clamp(c, -1.0, 1.0)) * 180.0 / M_PI;
-    }
-    report->median_parallax_deg = median(m);
+    report->depth_uncertainty = median_of_good([&](std::size_t p) { return depth_sigma[p]; });
+    const Vec3 centre = s.state.T_view_ref[last].inverse().t;
+    report->median_parallax_deg = median_of_good([&](std::size_t p) {
+      const Vec3 point = Vec3(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0) / s.state.inverse_depth[p];
+      const double c = point.normalized().dot((point - centre).normalized());
+      return std::acos(std::clamp(c, -1.0, 1.0)) * 180.0 / M_PI;
+    });
     if (report->median_parallax_deg < options.min_parallax_deg) return;
     if (report->depth_uncertainty > options.max_depth_uncertainty) return;
     report->status = InitStatus::kAmbiguous;
@@ -508,7 +361,7 @@ void Initializer::Impl::postpone(const InitReport& report) {
   if (report.depth_uncertainty > 0)
     missing = std::max(missing, report.depth_uncertainty / options.max_depth_uncertainty);
   next_parallax_px = report.parallax_px * std::min(missing, kMaxGrowth);
-  next_frame = frames + kMaxPostponed;
+  next_frame = tracks.frames() + kMaxPostponed;
 }
 
 Initializer::Initializer(const CameraModel& camera, const InitializerOptions& options)
@@ -525,16 +378,17 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
   m.point_count = 0;
   if (!m.started) return m.start(frame, mask, InitStatus::kFirstFrame);
   InitReport report;
-  m.follow(frame, mask, &report);
+  report.tracks = m.tracks.follow(frame, mask, &report.median_disparity_px);
   if (report.tracks < m.options.min_tracks) return m.start(frame, mask, InitStatus::kTracksLost);
-  const auto n = static_cast<std::size_t>(m.count);
-  report.parallax_px = fit_rotation({m.ref_xy.data(), n}, {m.cur_xy.data(), n}, m.focal(), m.scratch, &m.R_cur_ref);
-  m.history[static_cast<std::size_t>(m.history_count++)].parallax_px = report.parallax_px;
+  const auto n = static_cast<std::size_t>(report.tracks);
+  report.parallax_px =
+      fit_rotation({m.tracks.ref_xy().data(), n}, {m.tracks.cur_xy().data(), n}, m.focal(), m.scratch, &m.R_cur_ref);
+  m.tracks.latest().parallax_px = report.parallax_px;
   if (report.median_disparity_px < m.options.min_disparity_px) {
     report.status = InitStatus::kNoMotion;
-  } else if (report.parallax_px < m.options.min_parallax_px || m.frames < m.options.min_views) {
+  } else if (report.parallax_px < m.options.min_parallax_px || m.tracks.frames() < m.options.min_views) {
     report.status = InitStatus::kNoParallax;
-  } else if (report.parallax_px < m.next_parallax_px && m.frames < m.next_frame) {
+  } else if (report.parallax_px < m.next_parallax_px && m.tracks.frames() < m.next_frame) {
     report.status = m.refused;
   } else {
     m.decide(&report);

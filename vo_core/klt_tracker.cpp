@@ -25,7 +25,7 @@ struct Template {
   float mean = 1;                                  ///< removed from `intensity`, at least 1
   float norm = 0;                                  ///< length of `intensity`
   float signal = 1;                                ///< share of its variance that is not noise
-  Vec2f centre = Vec2f::Zero();                    ///< of the gradients' energy, from the patch's centre [px of its level]
+  Vec2f centre = Vec2f::Zero();  ///< of the gradients' energy, from the patch's centre [px of its level]
   bool valid = false;
 };
 

@@ -27,12 +27,12 @@ struct KltOptions {
 struct KltTrack {
   Vec2f px_ref = Vec2f::Zero();  ///< in the reference picture, level-0 px
   Vec2f px = Vec2f::Zero();      ///< in the latest picture, level-0 px, sub-pixel
-  /// From px_ref, and from px, to the place whose motion this is: the centre of the patch's gradients [level-0 px]. Where
-  /// the picture grows or turns, one corner in the patch's corner does not move as the patch's centre.
+  /// From px_ref, and from px, to the place whose motion this is: the centre of the patch's gradients [level-0 px].
+  /// Where the picture grows or turns, one corner in the patch's corner does not move as the patch's centre.
   Vec2f centre = Vec2f::Zero();
-  float correlation = 1.0f;      ///< with the reference patch
-  std::int8_t level = 0;         ///< that tells the place: 0 but where the patch there is lost in noise
-  bool alive = false;            ///< once false it stays false until set_reference
+  float correlation = 1.0f;  ///< with the reference patch
+  std::int8_t level = 0;     ///< that tells the place: 0 but where the patch there is lost in noise
+  bool alive = false;        ///< once false it stays false until set_reference
 };
 
 /// Brightness gain and offset are eliminated exactly: the gradient images are made orthogonal to the patch and to the

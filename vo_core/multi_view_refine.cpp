@@ -10,7 +10,7 @@ namespace godwit::vo {
 namespace {
 
 constexpr int kMaxViews = MultiViewState::kMaxViews;
-constexpr int kMaxPoints = MultiViewState::kMaxPoints;
+constexpr int kRoom = MultiViewState::kMaxPoints;
 constexpr int kMaxDim = 6 * kMaxViews;
 /// Width of the Cauchy weight in sigmas: 95 % efficiency under Gaussian noise.
 constexpr double kCauchy = 2.385;
@@ -61,8 +61,8 @@ void solve_upper(const std::vector<double>& l, int n, double* x) {
 struct Normal {
   std::array<Mat6, kMaxViews> A;
   std::array<Vec6, kMaxViews> b;
-  std::vector<double> W = std::vector<double>(static_cast<std::size_t>(kMaxPoints) * kMaxDim);  // row a point
-  std::array<double, kMaxPoints> C{}, d{};
+  std::vector<double> W = std::vector<double>(static_cast<std::size_t>(kRoom) * kMaxDim);  // row a point
+  std::array<double, kRoom> C{}, d{};
   double cost = 0;
 };
 
@@ -93,14 +93,14 @@ bool InverseDepthResidual::evaluate(const SE3& T, const Vec2& ray, double invers
 struct MultiViewRefiner::Impl {
   int points = 0, views = 0;
   double focal_px = 1, min_sigma_px = 0.1;
-  std::array<Vec2, kMaxPoints> ray;
-  std::vector<Vec2> measured = std::vector<Vec2>(static_cast<std::size_t>(kMaxViews) * kMaxPoints);
+  std::array<Vec2, kRoom> ray;
+  std::vector<Vec2> measured = std::vector<Vec2>(static_cast<std::size_t>(kMaxViews) * kRoom);
   std::array<Normal, 2> normal;
   std::vector<double> S = std::vector<double>(static_cast<std::size_t>(kMaxDim) * kMaxDim);
-  std::vector<double> scratch = std::vector<double>(static_cast<std::size_t>(kMaxViews) * kMaxPoints);
+  std::vector<double> scratch = std::vector<double>(static_cast<std::size_t>(kMaxViews) * kRoom);
   MultiViewState trial;
 
-  const Vec2& at(int view, int point) const { return measured[static_cast<std::size_t>(view * kMaxPoints + point)]; }
+  const Vec2& at(int view, int point) const { return measured[static_cast<std::size_t>(view * kRoom + point)]; }
 
   void build(const MultiViewState& state, double sigma_px, Normal* n) const {
     const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
@@ -206,7 +206,7 @@ MultiViewRefiner::~MultiViewRefiner() = default;
 
 void MultiViewRefiner::begin(std::span<const Vec2> rays, double focal_px, double min_sigma_px) {
   Impl& m = *impl_;
-  m.points = static_cast<int>(std::min<std::size_t>(rays.size(), kMaxPoints));
+  m.points = static_cast<int>(std::min<std::size_t>(rays.size(), kRoom));
   m.views = 0;
   m.focal_px = focal_px;
   m.min_sigma_px = min_sigma_px;
@@ -216,7 +216,7 @@ void MultiViewRefiner::begin(std::span<const Vec2> rays, double focal_px, double
 void MultiViewRefiner::add_view(std::span<const Vec2> measured) {
   Impl& m = *impl_;
   if (m.views == kMaxViews || measured.size() < static_cast<std::size_t>(m.points)) return;
-  std::copy_n(measured.begin(), m.points, m.measured.begin() + m.views * kMaxPoints);
+  std::copy_n(measured.begin(), m.points, m.measured.begin() + m.views * kRoom);
   ++m.views;
 }
 

@@ -95,6 +95,37 @@ TEST(KltTracker, FaintTextureIsFollowedOnALevelWhereItStandsOutFromTheNoise) {
   EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.4);
 }
 
+// In a picture that grows each place has a motion of its own, and a patch follows what is in it, wherever that is.
+TEST(KltTracker, AMotionIsThatOfThePlaceWhereTheGradientsAre) {
+  constexpr double kZoom = 1.04;
+  const Vec2f aside(5.0f, 4.0f), middle(160.0f, 120.0f);
+  const auto zoomed = [&](double zoom) {
+    Picture picture(320, 240, 0);
+    for (int y = 0; y < 240; ++y) {
+      for (int x = 0; x < 320; ++x) {
+        const double u = 160.0 + (x - 160.0) / zoom, v = 120.0 + (y - 120.0) / zoom;
+        // A blob beside each node of the grid of 20 px, on grey.
+        const double du = std::remainder(u - 50.0 - 5.0, 20.0), dv = std::remainder(v - 50.0 - 4.0, 20.0);
+        picture(x, y) = static_cast<std::uint8_t>(std::lround(90.0 + 120.0 * std::exp(-(du * du + dv * dv) / 6.0)));
+      }
+    }
+    return picture;
+  };
+  const Picture first = zoomed(1.0), second = zoomed(kZoom);
+  KltTracker tracker({});
+  std::vector<Vec2f> px;
+  for (const Vec2f& p : grid())
+    if ((p - middle).norm() < 60.0f) px.push_back(p);
+  ASSERT_GT(tracker.set_reference(Pyramid(first.view()).view(), px, kNoise), 10);
+  ASSERT_GT(tracker.track(Pyramid(second.view()).view()), 10);
+  for (const KltTrack& t : tracker.tracks()) {
+    if (!t.alive) continue;
+    EXPECT_LT((t.centre - aside).norm(), 1.0f);
+    const Vec2f from = t.px_ref + t.centre, to = middle + static_cast<float>(kZoom) * (from - middle);
+    EXPECT_LT((t.px + t.centre - to).norm(), 0.06f) << from.transpose();
+  }
+}
+
 TEST(KltTracker, DoesNotDriftOverManyFrames) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});

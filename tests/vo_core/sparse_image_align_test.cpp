@@ -149,6 +149,19 @@ TEST(SparseImageAlign, FewStepsDoAtAnyGain) {
   }
 }
 
+// Much more light: a third of the picture is white. What is white has no motion, and does not say that there is none.
+TEST(SparseImageAlign, WhatIsBlownOutHoldsNothingBack) {
+  Fixture f;
+  SparseAlignOptions options = f.options();
+  options.max_iterations = 8;
+  const View ref(f.scene.render(f.camera, f.T_ref, 0.6)), cur(f.scene.render(f.camera, f.T_cur, 2.2));
+  SparseImageAlign align(f.camera, options);
+  const SparseAlignResult r = align.run(ref.pyramid, cur.pyramid, f.points, SE3(), {});
+  const Vec6 e = (r.T_cur_ref * f.T_cur.inverse()).log();
+  EXPECT_LT(e.head<3>().norm(), 0.006);
+  EXPECT_LT(e.tail<3>().norm(), 0.003);
+}
+
 // A camera that yaws at 1 rad/s, read over 0.7 of the time between its pictures: rows see different parts of the turn.
 TEST(SparseImageAlign, AYawBehindARollingShutterIsNoRoll) {
   Fixture f;

@@ -54,6 +54,23 @@ TEST(Homography, DecompositionHoldsTheTruth) {
   EXPECT_LT(nearest, 1e-9);
 }
 
+TEST(Homography, APlaneHasOneOtherMotion) {
+  const Vec3 plane = Vec3(0.3, 0.2, 1.0) / 2.0;
+  const SE3 T = motion();
+  SE3 other;
+  ASSERT_TRUE(other_motion_of_plane(T, plane, &other));
+  EXPECT_GT((other.R - T.R).norm(), 0.01);
+  // It sees the plane's points on the same rays' planes: the epipolar constraint holds for each.
+  for (const Vec2& p : {Vec2(0.0, 0.0), Vec2(-0.4, 0.3), Vec2(0.5, 0.2), Vec2(0.1, -0.4)}) {
+    const Vec3 ray = p.homogeneous(), seen = T * (ray / plane.dot(ray));
+    EXPECT_NEAR(seen.normalized().dot(other.t.normalized().cross(other.R * ray)), 0.0, 1e-9);
+  }
+  // Along the normal the two are one: nothing tells a tilt of the plane from a turn and a sidestep.
+  const SE3 along(T.R, T.R * plane.normalized() * 0.3);
+  ASSERT_TRUE(other_motion_of_plane(along, plane, &other));
+  EXPECT_LT((other.R - along.R).norm() + (other.t - along.t).norm(), 1e-6);
+}
+
 TEST(Homography, RotationHasNoPlane) {
   std::array<PlaneMotion, 4> motions;
   EXPECT_EQ(decompose_homography(motion().R, 1e-4, &motions), 0);
