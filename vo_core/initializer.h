@@ -16,18 +16,18 @@
 namespace godwit::vo {
 
 struct InitializerOptions {
-  int features = 400;                   ///< tracks started in the first frame
-  int min_tracks = 80;                  ///< fewer left: start again from the present frame
-  double min_disparity_px = 2.0;        ///< median motion of the tracks below which nothing is tried
-  double min_parallax_px = 0.6;         ///< median distance of the tracks from the best pure rotation, to be tried
-  int min_views = 4;                    ///< views after the first before anything is tried
-  double min_parallax_deg = 1.0;        ///< median angle between the rays of the triangulated points
-  int min_points = 60;                  ///< accepted points of the first map
+  int features = 400;             ///< tracks started in the first frame
+  int min_tracks = 80;            ///< fewer left: start again from the present frame
+  double min_disparity_px = 2.0;  ///< median motion of the tracks below which nothing is tried
+  double min_parallax_px = 0.6;   ///< median distance of the tracks from the best pure rotation, to be tried
+  int min_views = 4;              ///< views after the first before anything is tried
+  double min_parallax_deg = 1.0;  ///< median angle between the rays of the triangulated points
+  int min_points = 60;            ///< accepted points of the first map
   /// Median of depth_sigma / depth above which the map is refused. 0.03 let climbs from a flat pad begin 4 degrees off
   /// their direction (take-off-and-land: 0.33 m instead of 0.07); with 0.01 bare ground begins later for nothing.
   double max_depth_uncertainty = 0.02;
-  double max_ambiguity = 0.80;          ///< robust cost of the best motion over that of a different one, at most
-  double homography_ratio = 0.4;        ///< R_H above this picks the homography (the paper, equation for R_H)
+  double max_ambiguity = 0.80;    ///< robust cost of the best motion over that of a different one, at most
+  double homography_ratio = 0.4;  ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
   double sigma_px = 1.0;       ///< measurement noise in the transfer error's outlier cut
   double readout = 0.0;        ///< rolling shutter: time from the first row to the last, in frame intervals
