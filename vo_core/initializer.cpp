@@ -78,6 +78,9 @@ struct Initializer::Impl {
     points.resize(kMaxTracks);
   }
 
+  /// In the first view, z = 1.
+  Vec3 ray(std::size_t p) const { return tracks.ref_xy()[p].homogeneous(); }
+  std::size_t living() const { return static_cast<std::size_t>(tracks.count()); }
   double focal() const { return 1.0 / camera.rad_per_px(); }
 
   double median(int n) {
@@ -101,7 +104,7 @@ struct Initializer::Impl {
   template <typename Value>
   double median_of_good(const Value& value) {
     int n = 0;
-    for (std::size_t p = 0; p < static_cast<std::size_t>(tracks.count()); ++p)
+    for (std::size_t p = 0; p < living(); ++p)
       if (good[p] != 0) scratch[static_cast<std::size_t>(n++)] = value(p);
     return median(n);
   }
@@ -128,8 +131,7 @@ struct Initializer::Impl {
     const int last = views - 1;
     for (int k = 0; k < views; ++k) state.T_view_ref[static_cast<std::size_t>(k)] = candidate.T_b_a;
     int positive = 0;
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       double inverse_depth = 0;
       if (!triangulate_inverse_depth(candidate.T_b_a, tracks.ref_xy()[p], tracks.cur_xy()[p], &inverse_depth))
         inverse_depth = 0;
@@ -137,15 +139,15 @@ struct Initializer::Impl {
       if (inverse_depth > 0) scratch[static_cast<std::size_t>(positive++)] = inverse_depth;
     }
     const double typical = positive > 0 ? median(positive) : 1.0;
-    for (int i = 0; i < tracks.count(); ++i) {
-      double& rho = state.inverse_depth[static_cast<std::size_t>(i)];
+    for (std::size_t p = 0; p < living(); ++p) {
+      double& rho = state.inverse_depth[p];
       if (!(rho > 0.1 * typical && rho < 10.0 * typical)) rho = typical;
     }
     refiner.refine_pose(last, 3, &state);
     const double length = state.T_view_ref[static_cast<std::size_t>(last)].t.norm();
     if (length > 1e-6) {  // the pose alone is free in length; the unit is the last view's distance
       state.T_view_ref[static_cast<std::size_t>(last)].t /= length;
-      for (int i = 0; i < tracks.count(); ++i) state.inverse_depth[static_cast<std::size_t>(i)] *= length;
+      for (std::size_t p = 0; p < living(); ++p) state.inverse_depth[p] *= length;
     }
     for (int k = last - 1; k >= 0; --k) {
       state.T_view_ref[static_cast<std::size_t>(k)] = state.T_view_ref[static_cast<std::size_t>(k + 1)];
@@ -169,17 +171,18 @@ struct Initializer::Impl {
   /// Marks the points that fit every view, lie in front and are neither absurdly near nor far. Returns their number.
   int judge(const MultiViewState& state, double noise_px) {
     int n = 0;
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       if (state.inverse_depth[p] > 0) scratch[static_cast<std::size_t>(n++)] = state.inverse_depth[p];
     }
     if (n == 0) return 0;
     const double typical = median(n);
     int accepted = 0;
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       const double rho = state.inverse_depth[p];
-      good[p] = rho > 0.02 * typical && rho < 20.0 * typical && refiner.point_rms(state, i) < 2.5 * noise_px ? 1 : 0;
+      good[p] =
+          rho > 0.02 * typical && rho < 20.0 * typical && refiner.point_rms(state, static_cast<int>(p)) < 2.5 * noise_px
+              ? 1
+              : 0;
       accepted += good[p];
     }
     return accepted;
@@ -192,11 +195,9 @@ struct Initializer::Impl {
     const SE3& T = best.state.T_view_ref[static_cast<std::size_t>(views - 1)];
     Mat3 A = Mat3::Zero();
     Vec3 b = Vec3::Zero();
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
-      const Vec3 ray(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0);
-      A.noalias() += ray * ray.transpose();
-      b.noalias() += best.state.inverse_depth[p] * ray;
+    for (std::size_t p = 0; p < living(); ++p) {
+      A.noalias() += ray(p) * ray(p).transpose();
+      b.noalias() += best.state.inverse_depth[p] * ray(p);
     }
     TwoViewCandidate other;
     if (!other_motion_of_plane(T, A.ldlt().solve(b), &other.T_b_a)) return;
@@ -219,7 +220,7 @@ struct Initializer::Impl {
     if (median_of_good(apart) > options.max_depth_uncertainty) {
       report->ambiguity = std::max(report->ambiguity, ratio);
     } else if (ratio > options.max_ambiguity) {
-      for (std::size_t p = 0; p < static_cast<std::size_t>(tracks.count()); ++p)
+      for (std::size_t p = 0; p < living(); ++p)
         if (good[p] != 0) depth_sigma[p] = std::hypot(depth_sigma[p], apart(p));
     }
   }
@@ -230,11 +231,9 @@ struct Initializer::Impl {
                        double scale) const {
     Mat6 H = Mat6::Zero();
     Vec6 b = Vec6::Zero();
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       if (good[p] == 0) continue;
-      const Vec3 q =
-          T_view_ref * (Vec3(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0) * (scale / state.inverse_depth[p]));
+      const Vec3 q = T_view_ref * (ray(p) * (scale / state.inverse_depth[p]));
       Mat23 to_plane;
       to_plane << 1.0, 0.0, -q.x() / q.z(), 0.0, 1.0, -q.y() / q.z();
       to_plane /= q.z();
@@ -252,7 +251,7 @@ struct Initializer::Impl {
     return camera.project(Vec3(xy.x(), xy.y(), 1.0), &px) ? Vec2f(px.cast<float>()) : otherwise;
   }
 
-  /// Writes the accepted points with median depth 1 and returns the median of depth_sigma / depth.
+  /// Writes the accepted points with median depth 1.
   void publish(const MultiViewState& state, int views) {
     const double scale = 1.0 / median_of_good([&](std::size_t p) { return 1.0 / state.inverse_depth[p]; });
     T_cur_ref = state.T_view_ref[static_cast<std::size_t>(views - 1)];
@@ -260,20 +259,18 @@ struct Initializer::Impl {
     velocity_ref = camera_velocity(tracks.first(), SE3(), state, scale);
     velocity_cur = camera_velocity(tracks.latest(), T_cur_ref, state, scale);
     point_count = 0;
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       if (good[p] == 0) continue;
       const auto track = static_cast<std::size_t>(tracks.track_of(p));
       const double depth = scale / state.inverse_depth[p];
-      const Vec3 ray(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0);
       const Vec2f px_ref = tracks.px_ref(track), px_cur = tracks.px_cur(track);
       points[static_cast<std::size_t>(point_count++)] = {px_ref,
                                                          px_cur,
                                                          to_picture(tracks.ref_xy()[p], px_ref),
                                                          to_picture(tracks.cur_xy()[p], px_cur),
                                                          static_cast<std::int8_t>(tracks.level(track)),
-                                                         depth * ray,
-                                                         depth_sigma[p] * depth * ray.norm()};
+                                                         depth * ray(p),
+                                                         depth_sigma[p] * depth * ray(p).norm()};
     }
   }
 
@@ -281,12 +278,11 @@ struct Initializer::Impl {
 
   /// The decision on the packed tracks. The caller has found enough disparity and parallax.
   void decide(InitReport* report) {
-    for (int i = 0; i < tracks.count(); ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (std::size_t p = 0; p < living(); ++p) {
       ref_px[p] = focal() * tracks.ref_xy()[p];
       cur_px[p] = focal() * tracks.cur_xy()[p];
     }
-    const auto n = static_cast<std::size_t>(tracks.count());
+    const std::size_t n = living();
     const TwoViewResult pair = two_view.estimate({ref_px.data(), n}, {cur_px.data(), n}, focal());
     report->model = pair.model;
     report->inliers = pair.inliers;
@@ -339,7 +335,7 @@ struct Initializer::Impl {
     report->depth_uncertainty = median_of_good([&](std::size_t p) { return depth_sigma[p]; });
     const Vec3 centre = s.state.T_view_ref[last].inverse().t;
     report->median_parallax_deg = median_of_good([&](std::size_t p) {
-      const Vec3 point = Vec3(tracks.ref_xy()[p].x(), tracks.ref_xy()[p].y(), 1.0) / s.state.inverse_depth[p];
+      const Vec3 point = ray(p) / s.state.inverse_depth[p];
       const double c = point.normalized().dot((point - centre).normalized());
       return std::acos(std::clamp(c, -1.0, 1.0)) * 180.0 / M_PI;
     });
