@@ -174,7 +174,16 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (have_velocity_ && near && gap > 0) guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     align_with_last(in, frame, guess, result);
-    if (measure(in, near && feature_count_ < options_.plenty, frame, least_measurements(*frame), result)) {
+    const bool coarser = near && feature_count_ < options_.plenty;
+    bool held = measure(in, coarser, frame, least_measurements(*frame), result);
+    if (!held && near && have_velocity_) {
+      // Where light changes from row to row the pictures may not be laid on each other at all. Points are found all the
+      // same, each with a gain of its own, from where the motion goes on as it was; that is a guess, and must convince.
+      frame->T_cam_world = guess * last_.T_cam_world;
+      frame->velocity = last_.velocity;
+      held = measure(in, coarser, frame, least_measurements(*frame), result) && passes(options_.convincing, *result);
+    }
+    if (held) {
       const bool counts = result->measurements >= options_.health.min_measurements;
       const bool sure = few_but_sure(*frame, *result);
       const bool followed = near && unproved_ == 0;
