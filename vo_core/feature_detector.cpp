@@ -187,7 +187,8 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   std::array<float, rt::kPyramidLevels> min_score;
   for (int level = 0; level < levels; ++level) {
     const float sigma = grey_noise_at(noise_, level);
-    const int lowest = std::clamp(static_cast<int>(options_.fast_sigmas * sigma + 0.5f), 1, options_.fast_threshold);
+    const int lowest =
+        std::clamp(static_cast<int>(std::lround(options_.fast_sigmas * sigma)), 1, options_.fast_threshold);
     min_score[static_cast<std::size_t>(level)] = options_.min_score * sigma * sigma;
     b.find_corners(pyramid.level[static_cast<std::size_t>(level)], mask, level, border, lowest);
   }

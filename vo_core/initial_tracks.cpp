@@ -134,7 +134,7 @@ Vec2f InitialTracks::px_cur(std::size_t track) const {
   return t.px + t.centre;
 }
 int InitialTracks::level(std::size_t track) const {
-  return std::max(features_[track].level, tracker_.tracks()[track].level);
+  return std::max<int>(features_[track].level, tracker_.tracks()[track].level);
 }
 
 }  // namespace godwit::vo

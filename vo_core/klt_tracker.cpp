@@ -128,13 +128,14 @@ bool make_template(const rt::ImageView& image, const Vec2f& px, float noise, flo
     xy += t->gx[k] * t->gy[k];
     yy += t->gy[k] * t->gy[k];
   }
+  constexpr int kHalf = P / 2;
   float cx = 0, cy = 0;
   for (int j = 0; j < P; ++j) {
     for (int i = 0; i < P; ++i) {
       const int k = j * P + i;
       const float energy = t->gx[k] * t->gx[k] + t->gy[k] * t->gy[k];
-      cx += energy * static_cast<float>(i - P / 2);
-      cy += energy * static_cast<float>(j - P / 2);
+      cx += energy * static_cast<float>(i - kHalf);
+      cy += energy * static_cast<float>(j - kHalf);
     }
   }
   const float half_trace = 0.5f * (xx + yy);
@@ -256,7 +257,7 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
     KltTrack& track = m.tracks[static_cast<std::size_t>(i)];
     track = KltTrack{.px_ref = p, .px = p};
     for (int level = 0; level < std::min(kFineLevels, reference.levels) && !track.alive; ++level) {
-      track.level = static_cast<std::int8_t>(level);
+      track.level = level;
       track.alive = make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
                                   grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &patch.fine);
     }

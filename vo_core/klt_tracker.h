@@ -31,7 +31,7 @@ struct KltTrack {
   /// Where the picture grows or turns, one corner in the patch's corner does not move as the patch's centre.
   Vec2f centre = Vec2f::Zero();
   float correlation = 1.0f;  ///< with the reference patch
-  std::int8_t level = 0;     ///< that tells the place: 0 but where the patch there is lost in noise
+  int level = 0;             ///< that tells the place: 0 but where the patch there is lost in noise
   bool alive = false;        ///< once false it stays false until set_reference
 };
 
