@@ -69,7 +69,7 @@ rt::Result<void> run(const std::vector<std::string>& words) {
 
 /// Fewer detections of a kind in a flight say nothing of what one costs.
 constexpr std::size_t kEnoughDetections = 5;
-constexpr std::size_t kLeastPairs = 3;
+constexpr std::size_t kLeastPairs = 2;  // of either order
 constexpr std::array<const char*, 2> kKinds = {"full", "small"};
 
 rt::Result<Json> flights_of(const std::string& text) {
@@ -138,6 +138,12 @@ void add_flights(const Json& a, const Json& b, PairFigures* out) {
   }
 }
 
+/// Not of none.
+double median_of(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return app::percentile_of_sorted(values, 50);
+}
+
 rt::Result<std::string> text_of(const std::string& file) {
   std::ifstream in(file);
   std::string text{std::istreambuf_iterator<char>(in), {}};
@@ -165,21 +171,32 @@ rt::Result<PairFigures> pair_figures(const std::string& a, const std::string& b)
   return out;
 }
 
-Ratio ratio_of(const std::string& figure, const std::vector<std::pair<double, double>>& pairs) {
+Ratio ratio_of(const std::string& figure, const std::vector<Pair>& pairs) {
   Ratio out;
   out.figure = figure;
   out.pairs = pairs.size();
-  std::vector<double> ratios;
-  for (const auto& [a, b] : pairs) ratios.push_back(a / b);
-  std::sort(ratios.begin(), ratios.end());
-  out.median = app::percentile_of_sorted(ratios, 50);
-  out.least = ratios.front();
-  out.most = ratios.back();
-  std::vector<double> away;
-  for (const double r : ratios) away.push_back(std::abs(r - out.median));
-  std::sort(away.begin(), away.end());
-  // 1.4826: of a normal distribution, its standard deviation over its median absolute deviation.
-  out.spread = 1.4826 * app::percentile_of_sorted(away, 50) / std::sqrt(static_cast<double>(ratios.size()));
+  // Logarithms: A / B and B / A must come out as each other's inverse.
+  std::array<std::vector<double>, 2> orders;
+  for (const Pair& p : pairs) orders[p.a_first ? 0 : 1].push_back(std::log(p.a / p.b));
+  std::vector<double> means, first;
+  for (const double i : orders[0]) {
+    for (const double j : orders[1]) {
+      means.push_back((i + j) / 2);
+      first.push_back((i - j) / 2);  // what being first does to the ratio
+    }
+  }
+  const double middle = median_of(std::move(means)), of_first = median_of(std::move(first));
+  double distance = 0;
+  for (const double i : orders[0]) distance += std::abs(i - of_first - middle);
+  for (const double j : orders[1]) distance += std::abs(j + of_first - middle);
+  const auto n = static_cast<double>(pairs.size());
+  out.median = std::exp(middle);
+  // 1.2533: of a normal distribution, its standard deviation over its mean distance; two pairs went into the middles.
+  out.spread = out.median * 1.2533 * distance / n * std::sqrt(n / std::max(1.0, n - 2)) / std::sqrt(n);
+  const auto by_ratio = [](const Pair& p, const Pair& q) { return p.a * q.b < q.a * p.b; };
+  const auto [least, most] = std::minmax_element(pairs.begin(), pairs.end(), by_ratio);
+  out.least = least->a / least->b;
+  out.most = most->a / most->b;
   return out;
 }
 
@@ -193,12 +210,12 @@ rt::Result<Comparison> compare(const Options& o, const std::atomic<bool>& stop) 
       std::filesystem::remove_all(folder, error);
     }
   } const remove{folder};
-  std::map<std::string, std::vector<std::pair<double, double>>> pairs;
-  for (std::int64_t pair = 0; pair < o.pairs; ++pair) {
+  std::map<std::string, std::vector<Pair>> pairs;
+  // Pair 0 only warms up.
+  for (std::int64_t pair = 0; pair <= o.pairs; ++pair) {
+    const bool a_first = pair % 2 == 0;
     std::array<std::string, 2> told;
-    for (int turn = 0; turn < 2; ++turn) {
-      // A B, B A, A B ..
-      const auto side = static_cast<std::size_t>((turn + pair) % 2);
+    for (const std::size_t side : {a_first ? 0u : 1u, a_first ? 1u : 0u}) {
       const std::string file = folder + "/" + std::to_string(side) + ".json";
       if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};
       if (const auto flown = run(command_of(o, o.compare[side], file)); !flown) return flown.error();
@@ -208,14 +225,20 @@ rt::Result<Comparison> compare(const Options& o, const std::atomic<bool>& stop) 
     }
     const auto figures = pair_figures(told[0], told[1]);
     if (!figures) return figures.error();
-    for (const auto& [name, values] : figures.value()) pairs[name].push_back(values);
-    if (!o.quiet) fmt::print(stderr, "godwit-latency: pair {} of {}\n", pair + 1, o.pairs);
+    if (!o.quiet) {
+      fmt::print(stderr, "godwit-latency: {}\n",
+                 pair > 0 ? fmt::format("pair {} of {}", pair, o.pairs) : "warmed up, this pair counts nowhere");
+    }
+    if (pair == 0) continue;
+    for (const auto& [name, values] : figures.value()) pairs[name].push_back({values.first, values.second, a_first});
   }
   Comparison out;
   out.pairs = o.pairs;
-  // What one side shed in a pair is not compared there; of too few pairs nothing is told.
+  // What one side shed in a pair is not compared there; of too few pairs of either order nothing is told.
   for (const auto& [name, values] : pairs) {
-    if (values.size() >= kLeastPairs) out.ratios.push_back(ratio_of(name, values));
+    const auto a_first =
+        static_cast<std::size_t>(std::count_if(values.begin(), values.end(), [](const Pair& p) { return p.a_first; }));
+    if (std::min(a_first, values.size() - a_first) >= kLeastPairs) out.ratios.push_back(ratio_of(name, values));
   }
   return out;
 }
@@ -223,7 +246,7 @@ rt::Result<Comparison> compare(const Options& o, const std::atomic<bool>& stop) 
 std::string table(const Options& o, const Comparison& c) {
   std::string out =
       fmt::format("A = {}\nB = {}\n{} pairs on {}, {} s each flight\n  {:<56} {:>7} {:>8} {:>7} {:>7} {:>6}\n",
-                  o.compare[0], o.compare[1], c.pairs, o.live ? "a live camera" : o.input, o.seconds, "A / B", "median",
+                  o.compare[0], o.compare[1], c.pairs, o.live ? "a live camera" : o.input, o.seconds, "A / B", "ratio",
                   "+-", "least", "most", "pairs");
   for (const Ratio& r : c.ratios) {
     out += fmt::format("  {:<56} {:7.3f} {:8.3f} {:7.3f} {:7.3f} {:6}\n", r.figure, r.median, r.spread, r.least, r.most,

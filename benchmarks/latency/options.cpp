@@ -57,7 +57,7 @@ int parse_options(int argc, char** argv, Options* o) {
          "hold for both")
       ->expected(2)
       ->type_name("A B");
-  app.add_option("--pairs", o->pairs, "Pairs of flights that --compare makes")
+  app.add_option("--pairs", o->pairs, "Pairs of flights that --compare counts; an odd number becomes even by one more")
       ->check(app::whole_number(3, 1000))
       ->capture_default_str();
   app.add_flag("--quiet", o->quiet, "No table");
@@ -70,6 +70,7 @@ int parse_options(int argc, char** argv, Options* o) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? app::kExitDone : app::kExitRefused;
   }
+  o->pairs += o->pairs % 2;
   o->live = !camera.empty();
   if (o->live) o->config_file = camera;
   if (!o->live && o->input.empty()) {

@@ -22,7 +22,7 @@ struct Options {
   std::string json_file;
   std::string plot_file;
   std::vector<std::string> compare;  ///< two configurations or programs
-  std::int64_t pairs = 9;
+  std::int64_t pairs = 20;           ///< even
   bool quiet = false;
 };
 
