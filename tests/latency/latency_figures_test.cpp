@@ -63,6 +63,7 @@ TEST(Ratio, OfEqualPairsHasNoSpread) {
 
 TEST(Ratio, WhatBeingFirstCostsGoesOut) {
   std::vector<Pair> pairs;
+  pairs.reserve(9);
   for (int i = 0; i < 9; ++i) pairs.push_back(i % 2 == 0 ? Pair{2.2, 1, true} : Pair{2, 1.1, false});
   const Ratio r = ratio_of("x", pairs);  // the median over the pairs would be 2.2
   EXPECT_NEAR(r.median, 2, 1e-12);
@@ -73,6 +74,8 @@ TEST(Ratio, TurnedRoundIsTheInverse) {
   std::vector<Pair> pairs, turned;
   std::mt19937 random(1);
   std::lognormal_distribution<double> figure(0, 0.2);
+  pairs.reserve(10);
+  turned.reserve(10);
   for (int i = 0; i < 10; ++i) pairs.push_back({figure(random), figure(random), i % 2 == 0});
   for (const Pair& p : pairs) turned.push_back({p.b, p.a, !p.a_first});
   EXPECT_NEAR(ratio_of("x", pairs).median * ratio_of("x", turned).median, 1, 1e-12);
@@ -80,6 +83,7 @@ TEST(Ratio, TurnedRoundIsTheInverse) {
 
 TEST(Ratio, APairGoneWrongMovesItLittle) {
   std::vector<Pair> pairs;
+  pairs.reserve(12);
   for (int i = 0; i < 12; ++i) pairs.push_back({1 + 0.004 * i, 1 + 0.004 * (11 - i), i % 2 == 0});
   pairs[3].a = 5;  // another program came in between
   EXPECT_NEAR(ratio_of("x", pairs).median, 1, 0.02);
@@ -99,6 +103,7 @@ TEST(Ratio, SpreadIsHowFarItWanders) {
   int within = 0;
   for (int run = 0; run < kRuns; ++run) {
     std::vector<Pair> pairs;
+    pairs.reserve(20);
     for (int i = 0; i < 20; ++i) {
       const bool a_first = i % 2 == 0;
       const double a = flight(a_first), b = flight(!a_first);
