@@ -6,6 +6,7 @@
 #include "firmware_app/config/version.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/flight/recorder_plan.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/output/progress_bar.h"
@@ -18,6 +19,9 @@
 namespace godwit::app {
 namespace {
 
+/// Nobody flies on meanwhile.
+constexpr rt::TimeNs kEventPatienceNs = 60 * rt::kNsPerSecond;
+
 void say(const std::string& line) {
   error_log().put("godwit: " + line);
 }
@@ -25,11 +29,12 @@ void say(const std::string& line) {
 /// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
  public:
-  ShowingSink(FrameSink* next, FrameSink* beside, ProgressBar* bar, std::string memory_refused)
-      : next_(next), beside_(beside), bar_(bar), memory_refused_(std::move(memory_refused)) {}
+  ShowingSink(FrameSink* next, FrameSink* beside, EventRecorder* recorder, ProgressBar* bar, std::string memory_refused)
+      : next_(next), beside_(beside), recorder_(recorder), bar_(bar), memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
     bar_->show(++done_, vo::state_name(record.state));
+    if (recorder_ != nullptr) recorder_->frame(record);
     if (beside_ != nullptr) {
       if (auto taken = beside_->take(record); !taken) return taken;
     }
@@ -49,6 +54,7 @@ class ShowingSink final : public FrameSink {
  private:
   FrameSink* next_;
   FrameSink* beside_;
+  EventRecorder* recorder_;
   ProgressBar* bar_;
   const std::string memory_refused_;
   std::int64_t done_ = 0;
@@ -109,9 +115,9 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     if (!opened) return refuse("--view: " + opened.error().message);
     view.emplace(std::move(opened).value());
   }
-  auto assembled = assemble(
-      config, calibration,
-      {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial, plan.gyro_helps});
+  auto assembled = assemble(config, calibration,
+                            {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial,
+                             plan.gyro_helps, !plan.events.empty()});
   if (!assembled) return refuse(assembled.error().message);
   const Assembly& parts = assembled.value();
   if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());
@@ -136,16 +142,25 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   const hal::MachineMonitor machine;
   pipeline.machine = &machine;
   plan_pipeline(config, calibration.fps, &pipeline);
+  std::unique_ptr<EventRecorder> recorder;
+  if (!plan.events.empty()) {
+    auto started = start_recorder(config, plan.events, calibration, parts.pool.get(), pipeline.newest_frame, say);
+    if (!started) return refuse(started.error().message);
+    recorder = std::move(started).value();
+    pipeline.onlooker = recorder->onlooker();
+    say("event recorder: " + recorder->description());
+  }
   RunWriter writer;
   auto opened = writer.open(plan.out, pipeline.newest_frame);
   if (!opened) return failed(opened.error().message);
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, plan.beside, &bar, arm_memory(config));
+    ShowingSink sink(&writer, plan.beside, recorder.get(), &bar, arm_memory(config));
     run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }
+  if (recorder != nullptr) say("event recorder: " + recorder_words(recorder->finish(kEventPatienceNs)));
   if (!run) return failed(run.error().message);
   if (stop.load(std::memory_order_relaxed)) {
     say("interrupted; nothing was written");

@@ -30,6 +30,7 @@ struct CameraRunPlan {
   FrameSink* beside = nullptr;  ///< hears each record, too; null: nobody
   std::string view;             ///< folder for pictures of what was seen; empty: none
   std::int64_t view_every = 30;
+  std::string events;  ///< folder for the event recorder; empty: there is none
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

@@ -73,6 +73,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.inertial = a.run.imu == "on";
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
+  plan.events = a.run.events;
   if (a.render_ahead) {
     if (const auto drawn = camera.render_ahead(stop); !drawn) {
       if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);

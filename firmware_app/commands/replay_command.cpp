@@ -113,6 +113,13 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->type_name("N")
       ->check(whole_number(1, kManyPictures))
       ->capture_default_str();
+  command
+      ->add_option(
+          "--events", a->events,
+          "Folder for the event recorder, made if it is not there: pictures and readings around each loss, new "
+          "map and doubt, and at SIGUSR1, as sequences that replay takes; seconds, memory and budgets are "
+          "[recorder]'s in the file of --config")
+      ->type_name("DIR");
   add_link_options(command, &a->can, &a->mavlink);
   command->add_flag("--bench-metric", a->bench_metric,
                     "The map's lengths pass for metres and its start for level, so that the autopilot takes the poses "
@@ -232,6 +239,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.inertial = a.imu == "on";
   plan.view = a.view;
   plan.view_every = a.view_every;
+  plan.events = a.events;
   if (a.write_calibration.empty()) return run_camera(camera.value().get(), calibration, config, plan, stop);
   TurnListener turns;
   plan.beside = &turns;

@@ -25,6 +25,7 @@ struct ReplayArguments {
   std::string model;
   std::string view;  ///< empty: no pictures
   std::int64_t view_every = 30;
+  std::string events;        ///< empty: no event recorder
   std::string can, mavlink;  ///< empty: as configured
   bool bench_metric = false;
 };

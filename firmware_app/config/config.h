@@ -135,6 +135,16 @@ struct Config {
     std::string folder;    ///< empty: `flights` in link.state_folder; without that there is no log
     int budget_mb = 2000;  ///< of all flights in it
   } flight_log;
+
+  /// What is kept of pictures and readings, and written down when something goes wrong (output/event_recorder.h).
+  struct Recorder {
+    bool enabled = true;
+    std::string folder;  ///< empty: `events` in link.state_folder; without that nothing is kept
+    double before_s = 5, after_s = 3;
+    int memory_mb = 100;
+    int budget_mb = 2000;  ///< of all events in it
+    int events = 20;       ///< of one flight
+  } recorder;
 };
 
 /// A configuration, or everything that is wrong with it.

@@ -113,6 +113,14 @@ void add_link(Config* c, std::vector<Key>* to) {
            keys::flag("flight_log.enabled", &c->flight_log.enabled),
            keys::text("flight_log.folder", kLongestPath, "a folder", &c->flight_log.folder),
            keys::whole("flight_log.budget_mb", 10, 1'000'000, &c->flight_log.budget_mb),
+
+           keys::flag("recorder.enabled", &c->recorder.enabled),
+           keys::text("recorder.folder", kLongestPath, "a folder", &c->recorder.folder),
+           keys::number("recorder.before_s", 0.5, 60, "s", &c->recorder.before_s),
+           keys::number("recorder.after_s", 0, 60, "s", &c->recorder.after_s),
+           keys::whole("recorder.memory_mb", 10, 8000, &c->recorder.memory_mb),
+           keys::whole("recorder.budget_mb", 10, 1'000'000, &c->recorder.budget_mb),
+           keys::whole("recorder.events", 1, 1000, &c->recorder.events),
        }) {
     to->push_back(std::move(key));
   }
@@ -205,6 +213,12 @@ void check_contradictions(ConfigReport* report) {
                                                     " is not below scheduler.deadline_ms (" +
                                                     keys::decimal(c.scheduler.deadline_ms) +
                                                     "): it would act only when it is too late; less is allowed");
+  }
+  if (c.recorder.memory_mb > c.recorder.budget_mb) {
+    report->mistake("recorder.memory_mb", std::to_string(c.recorder.memory_mb) +
+                                              " MB in memory may make an event of which recorder.budget_mb (" +
+                                              std::to_string(c.recorder.budget_mb) +
+                                              ") holds none; no more than that is allowed");
   }
   check_imu_source(report);
   check_link(report);

@@ -15,6 +15,7 @@
 #include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/flight/recorder_plan.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_log.h"
 #include "firmware_app/output/line_log.h"
@@ -30,16 +31,24 @@ void say(const std::string& line) {
   error_log().put("godwitd: " + line);
 }
 
+/// systemd waits five seconds for the end (systemd/godwitd.service.in).
+constexpr rt::TimeNs kEventPatienceNs = 2 * rt::kNsPerSecond;
+
 int give_up(const std::string& line) {
   say(line);
   return kExitFailed;
 }
 
-/// Tells what changes; frame after frame is for the flight log, which may be null.
+/// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null.
 class Journal final : public FrameSink {
  public:
-  Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log)
-      : manager_(manager), locks_memory_(locks_memory), memory_refused_(std::move(memory_refused)), log_(log) {}
+  Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log,
+          EventRecorder* recorder)
+      : manager_(manager),
+        locks_memory_(locks_memory),
+        memory_refused_(std::move(memory_refused)),
+        log_(log),
+        recorder_(recorder) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
@@ -53,6 +62,7 @@ class Journal final : public FrameSink {
     clock_.heard(record.t_capture_ns);
     if (record.tracked) ++tracked_;
     if (log_ != nullptr) log_->frame(record);
+    if (recorder_ != nullptr) recorder_->frame(record);
     return {};
   }
   void event(const rt::LogEntry& e) override {
@@ -67,6 +77,7 @@ class Journal final : public FrameSink {
   const bool locks_memory_;
   const std::string memory_refused_;
   FlightLog* const log_;
+  EventRecorder* const recorder_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
@@ -154,6 +165,8 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   // The networks run once here, so that the first picture in flight is not the slow one.
   AssemblyPlan plan;
   plan.inertial = config.imu.flown_by();
+  const std::string events = events_folder(config);
+  plan.onlooker = !events.empty();
   auto assembled = assemble(config, calibration, plan);
   if (!assembled) {
     say(assembled.error().message);
@@ -184,7 +197,15 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   options.also_stop = &stop;
   // Before memory is locked: its thread and its buffers belong to what is there.
   const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config);
-  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get());
+  std::unique_ptr<EventRecorder> recorder;
+  if (!events.empty()) {
+    auto started = start_recorder(config, events, calibration, parts.pool.get(), true, say);
+    if (!started) return give_up(started.error().message);
+    recorder = std::move(started).value();
+    options.onlooker = recorder->onlooker();
+    say("event recorder: " + recorder->description() + "; " + events);
+  }
+  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get());
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();
@@ -194,6 +215,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   }
   tell(counters, journal.tracked(), parts.dynamic != nullptr);
   if (flight_log != nullptr) tell(flight_log->finish(rt::kNsPerSecond));
+  if (recorder != nullptr) say("event recorder: " + recorder_words(recorder->finish(kEventPatienceNs)));
   return kExitDone;
 }
 

@@ -8,7 +8,8 @@
 namespace godwit::app {
 namespace {
 
-rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const hal::CameraCalibration& calibration) {
+rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const hal::CameraCalibration& calibration,
+                                                     bool onlooker) {
   rt::FramePool::Layout layout;
   layout.width = calibration.width;
   layout.height = calibration.height;
@@ -26,6 +27,8 @@ rt::Result<std::unique_ptr<rt::FramePool>> make_pool(const Config& config, const
     layout.slots = std::min(layout.slots + kDetectorSlots, rt::kMaxFrameSlots);
     layout.colour = calibration.channels == 3;
   }
+  layout.onlooker = onlooker;
+  if (onlooker) layout.slots = std::min(layout.slots + kOnlookerSlots, rt::kMaxFrameSlots);
   return rt::FramePool::create(layout);
 }
 
@@ -61,7 +64,7 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
   const auto model = make_camera_model(calibration);
   if (!model)
     return rt::Error{(plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") + model.error().message};
-  auto pool = make_pool(config, calibration);
+  auto pool = make_pool(config, calibration, plan.onlooker);
   if (!pool) return pool.error();
   Assembly out;
   out.pool = std::move(pool).value();

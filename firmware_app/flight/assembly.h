@@ -26,6 +26,7 @@ struct AssemblyPlan {
   FrameView* view = nullptr;     ///< may be null
   bool inertial = false;         ///< the pipeline has an inertial sensor, and it is to be used
   bool gyro_helps = true;        ///< vision, too; see OdometryOptions
+  bool onlooker = false;         ///< slots for one (PipelineOptions::onlooker)
 };
 
 /// Destroyed from the last to the first: the pool outlives what points into it.

@@ -5,17 +5,15 @@
 #include <charconv>
 #include <chrono>
 #include <condition_variable>
-#include <csignal>
 #include <cstring>
 #include <fcntl.h>
 #include <filesystem>
 #include <map>
 #include <mutex>
-#include <pthread.h>
 #include <sys/stat.h>
-#include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "firmware_app/output/detached_thread.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_topics.h"
 #include "firmware_app/output/ulog.h"
@@ -27,7 +25,6 @@ namespace fs = std::filesystem;
 constexpr rt::TimeNs kRetryNs = rt::kNsPerSecond;
 constexpr auto kTurn = std::chrono::milliseconds(100);
 constexpr std::size_t kNameDigits = 6;
-constexpr std::size_t kStackBytes = 256 * 1024;  // locked with all memory, so not the eight megabytes that are usual
 
 /// Number of a flight's file; 0: it is none.
 std::uint64_t number_of(const fs::path& file) {
@@ -85,7 +82,6 @@ struct FlightLog::State {
   bool open(rt::TimeNs now_ns);
   bool write(std::string_view bytes);
   void make_room();
-  bool has_room() const;
   void look_at_machine(const hal::MachineMonitor& monitor, rt::TimeNs now_ns);
   void fail(const std::string& doing, rt::TimeNs now_ns);
 };
@@ -134,21 +130,10 @@ void FlightLog::State::make_room() {
   }
 }
 
-bool FlightLog::State::has_room() const {
-  struct statvfs disc {};
-  // Of a disc that does not tell, writing will.
-  if (::statvfs(options.folder.c_str(), &disc) != 0 || disc.f_blocks == 0) return true;
-  const auto bytes = [&disc](auto blocks) { return static_cast<double>(blocks) * static_cast<double>(disc.f_frsize); };
-  const double left = std::min(static_cast<double>(options.leave_bytes), options.leave_share * bytes(disc.f_blocks));
-  if (bytes(disc.f_bavail) > left) return true;
-  errno = ENOSPC;
-  return false;
-}
-
 bool FlightLog::State::open(rt::TimeNs now_ns) {
   ::mkdir(options.folder.c_str(), 0750);
   make_room();
-  if (!has_room()) {
+  if (!has_room(options.folder, options.room)) {
     fail("nearly full", now_ns);
     return false;
   }
@@ -201,7 +186,7 @@ void FlightLog::State::turn(const std::string& chunk, std::uint64_t messages, rt
     if (::fdatasync(fd) != 0) fail("cannot be synchronised", now_ns);
     t_synced_ns = now_ns;
     unsynced = false;
-    if (fd >= 0 && !has_room()) fail("nearly full", now_ns);
+    if (fd >= 0 && !has_room(options.folder, options.room)) fail("nearly full", now_ns);
   }
 }
 
@@ -253,49 +238,27 @@ void FlightLog::State::run() {
   change.notify_all();
 }
 
-bool FlightLog::start(std::shared_ptr<State> state) {
-  const auto body = [](void* passed) -> void* {
-    const std::unique_ptr<std::shared_ptr<State>> owned(static_cast<std::shared_ptr<State>*>(passed));
-    State& s = **owned;
-    pthread_setname_np(pthread_self(), "gw-flightlog");
-    try {
-      s.run();
-    } catch (const std::exception&) {
-      // Out of memory: what comes from now on is counted as dropped.
-      const std::lock_guard<std::mutex> lock(s.mutex);
-      s.has_thread = false;
-      s.ended = true;
-      s.change.notify_all();
-    }
-    return nullptr;
-  };
-  auto passed = std::make_unique<std::shared_ptr<State>>(std::move(state));
-  pthread_attr_t attributes;
-  if (pthread_attr_init(&attributes) != 0) return false;
-  // Detached, and with a share of the state: a disc that hangs keeps no end away.
-  pthread_attr_setdetachstate(&attributes, PTHREAD_CREATE_DETACHED);
-  pthread_attr_setstacksize(&attributes, kStackBytes);
-  pthread_t thread{};
-  const bool started = pthread_create(&thread, &attributes, body, passed.get()) == 0;
-  pthread_attr_destroy(&attributes);
-  if (started) (void)passed.release();  // the thread's own
-  return started;
-}
-
 FlightLog::FlightLog(FlightLogOptions options) : state_(std::make_shared<State>(std::move(options))) {
-  // Signals are the other threads' business.
-  sigset_t all, before;
-  sigfillset(&all);
-  pthread_sigmask(SIG_SETMASK, &all, &before);
   try {
     state_->waiting.reserve(state_->options.buffer_bytes + 65536);
     state_->has_thread = true;
-    if (!start(state_)) throw std::bad_alloc();
+    // With a share of the state: a disc that hangs keeps no end away.
+    const bool started = start_detached("gw-flightlog", [state = state_] {
+      try {
+        state->run();
+      } catch (const std::exception&) {
+        // Out of memory: what comes from now on is counted as dropped.
+        const std::lock_guard<std::mutex> lock(state->mutex);
+        state->has_thread = false;
+        state->ended = true;
+        state->change.notify_all();
+      }
+    });
+    if (!started) throw std::bad_alloc();
   } catch (const std::exception&) {
     state_->has_thread = false;
     state_->report.trouble = "no thread to be had for the flight log";
   }
-  pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }
 
 FlightLog::~FlightLog() {

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "firmware_app/output/disc_room.h"
 #include "firmware_app/pipeline/frame_record.h"
 #include "hal/machine/machine_state.h"
 #include "hal/rt/log_ring.h"
@@ -22,9 +23,7 @@ struct FlightLogOptions {
   std::size_t file_bytes = 64'000'000;        ///< a new file is begun after so many
   std::size_t buffer_bytes = 1'000'000;       ///< what may wait for the disc
   rt::TimeNs sync_ns = rt::kNsPerSecond / 2;  ///< so often the disc is made to have what was written
-  /// What is left of the disc, which others need, too: nothing is written while less is free than the smaller of both.
-  std::size_t leave_bytes = 100'000'000;
-  double leave_share = 0.05;  ///< of the whole disc
+  DiscRoom room;                              ///< what is left of the disc
   /// Stand in each file: version, commit, configuration.
   std::vector<std::pair<std::string, std::string>> info;
   bool machine = true;  ///< temperature once a second
@@ -62,7 +61,6 @@ class FlightLog {
 
  private:
   struct State;
-  static bool start(std::shared_ptr<State> state);
   std::shared_ptr<State> state_;
 };
 

@@ -47,8 +47,10 @@ Feeder::Outcome Feeder::read(int slot, rt::TimeNs timeout_ns, rt::FrameHandle* h
   const bool wrong_time = status == hal::CameraStatus::kFrame && implausible(frame.t_capture_ns, &clock);
   if (status == hal::CameraStatus::kFrame && slot >= 0 && !wrong_time) {
     pool_->meta(slot) = {frame.t_capture_ns, frame.t_source_ns, frame.sequence, t_delivered_ns};
-    pool_->hand_out(slot, pool_->layout().readers);
     *handle = {slot, pool_->meta(slot)};
+    const bool shown = onlooker_ != nullptr && onlooker_->has_room(live_);
+    pool_->hand_out(slot, pool_->layout().readers + (shown ? 1 : 0));
+    if (shown) onlooker_->show(*handle);
     return Outcome::kFrame;
   }
   if (slot >= 0) pool_->cancel(slot);

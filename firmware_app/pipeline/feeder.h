@@ -4,6 +4,7 @@
 #include <string>
 
 #include "firmware_app/pipeline/frame_record.h"
+#include "firmware_app/pipeline/onlooker.h"
 #include "hal/camera/camera.h"
 #include "hal/rt/frame_pool.h"
 
@@ -17,7 +18,9 @@ class Feeder {
  public:
   /// live: capture times are moments of this machine's clock, so a camera whose clock jumps is found out: a picture of
   /// the future, of long ago, or from before the last one is not flown.
-  Feeder(hal::Camera* camera, rt::FramePool* pool, bool live) : camera_(camera), pool_(pool), live_(live) {
+  /// onlooker: may be null.
+  Feeder(hal::Camera* camera, rt::FramePool* pool, bool live, Onlooker* onlooker)
+      : camera_(camera), pool_(pool), live_(live), onlooker_(onlooker) {
     why_.reserve(256);
   }
 
@@ -39,6 +42,7 @@ class Feeder {
   hal::Camera* camera_;
   rt::FramePool* pool_;
   const bool live_;
+  Onlooker* const onlooker_;
   rt::TimeNs t_last_ns_ = 0;  ///< capture time of the newest picture that was flown
   std::string why_;
 };

@@ -16,9 +16,9 @@ class FeederThread {
       : real_time_(camera->real_time()),
         pool_(pool),
         channels_(channels),
-        feeder_(camera, pool, options.newest_frame),
+        feeder_(camera, pool, options.newest_frame, options.onlooker),
         imu_(options.newest_frame ? nullptr : options.imu),
-        imu_feeder_(imu_, false) {}
+        imu_feeder_(imu_, false, options.onlooker) {}
 
   /// The thread's body: until the camera ends or Channels::stop. Under real-time rules where the camera is.
   void run(rt::Pulse* pulse);

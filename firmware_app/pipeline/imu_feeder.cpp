@@ -21,6 +21,7 @@ hal::ImuStatus ImuFeeder::next(hal::ImuSample* sample, rt::TimeNs timeout_ns) {
   any_ = true;
   t_last_ns_ = sample->t_ns;
   ++counters.samples;
+  if (onlooker_ != nullptr) onlooker_->show(*sample, live_);
   return status;
 }
 

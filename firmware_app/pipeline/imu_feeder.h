@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "firmware_app/pipeline/onlooker.h"
 #include "hal/imu/imu.h"
 #include "hal/rt/spsc_ring.h"
 
@@ -25,8 +26,8 @@ struct ImuCounters {
 /// One thread.
 class ImuFeeder {
  public:
-  /// live: times are moments of this machine's clock, so a sample of the future is found out.
-  ImuFeeder(hal::Imu* imu, bool live) : imu_(imu), live_(live) {}
+  /// live: times are moments of this machine's clock, so a sample of the future is found out. onlooker: may be null.
+  ImuFeeder(hal::Imu* imu, bool live, Onlooker* onlooker) : imu_(imu), live_(live), onlooker_(onlooker) {}
 
   /// The next plausible sample. kFault: one came that is not, or the device failed. Waits at most timeout_ns. No
   /// allocation, no lock.
@@ -42,6 +43,7 @@ class ImuFeeder {
  private:
   hal::Imu* imu_;
   const bool live_;
+  Onlooker* const onlooker_;
   rt::TimeNs t_last_ns_ = 0;
   bool any_ = false;   ///< t_last_ns_ is set
   bool held_ = false;  ///< held_sample_ is waiting for its frame

@@ -11,8 +11,9 @@ namespace godwit::app {
 class ImuThread {
  public:
   /// All outlive it. camera: hears how fast it turns. imu: null where there is none; run() is not called then.
-  ImuThread(hal::Imu* imu, hal::Camera* camera, Channels* channels)
-      : feeder_(imu, true), camera_(camera), channels_(channels) {}
+  /// onlooker: may be null.
+  ImuThread(hal::Imu* imu, hal::Camera* camera, Onlooker* onlooker, Channels* channels)
+      : feeder_(imu, true, onlooker), camera_(camera), channels_(channels) {}
 
   /// The thread's body, under real-time rules: until the sensor ends or the camera's thread has.
   void run(rt::Pulse* pulse);

@@ -93,7 +93,8 @@ class OdometryStage final : public FrameStage {
  private:
   static int keyframe_slots(const rt::FramePool& pool) {
     const bool with_detector = pool.layout().readers == kFrameReadersWithDetector;
-    return pool.slots() - kSlotsBesideKeyframes - (with_detector ? kDetectorSlots : 0);
+    return pool.slots() - kSlotsBesideKeyframes - (with_detector ? kDetectorSlots : 0) -
+           (pool.layout().onlooker ? kOnlookerSlots : 0);
   }
 
   static vo::MapperOptions mapper_options(const OdometryOptions& options, int keyframe_slots) {

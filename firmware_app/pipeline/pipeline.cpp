@@ -35,8 +35,8 @@ namespace {
 rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                             const PipelineOptions& options, FrameSink* sink,
                                             const std::atomic<bool>& stop) {
-  Feeder feeder(camera, pool, false);
-  ImuFeeder imu(options.imu, false);
+  Feeder feeder(camera, pool, false, options.onlooker);
+  ImuFeeder imu(options.imu, false, options.onlooker);
   StateWatch state;
   PipelineCounters counters;
   // By count, not by time: two runs must be equal.
@@ -89,6 +89,7 @@ rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage
                                           const PipelineOptions& options, FrameSink* sink,
                                           const std::atomic<bool>& stop) {
   assert(pool->layout().readers == (options.detector != nullptr ? kFrameReadersWithDetector : kFrameReaders));
+  assert(pool->layout().onlooker == (options.onlooker != nullptr));
   if (options.sequential) return run_sequential(camera, stage, pool, options, sink, stop);
   ThreadedPipeline pipeline(camera, stage, pool, options);
   return pipeline.run(sink, stop);

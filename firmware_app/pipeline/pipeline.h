@@ -10,6 +10,7 @@
 
 #include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/imu_feeder.h"
+#include "firmware_app/pipeline/onlooker.h"
 #include "firmware_app/pipeline/stage.h"
 #include "firmware_app/scheduler/scheduler.h"
 #include "hal/camera/camera.h"
@@ -77,6 +78,8 @@ struct PipelineOptions {
   FrameTap* tap = nullptr;            ///< may be null
   DetectorStage* detector = nullptr;  ///< may be null; with one the pool has kFrameReadersWithDetector readers
   hal::Imu* imu = nullptr;            ///< may be null; real pace: read by a thread of its own
+  /// May be null; gets each picture and reading (pipeline/onlooker.h). With one the pool's layout has an onlooker.
+  Onlooker* onlooker = nullptr;
   rt::TimeNs imu_silence_ns = 500 * rt::kNsPerMs;  ///< an IMU of which nothing is newer is called silent
   PipelineThreads threads;                         ///< threads only
   SchedulerOptions scheduler;                      ///< scheduler.detector is set by whether there is one

@@ -17,6 +17,9 @@ constexpr int kFrameReadersWithDetector = 3;
 /// Frames that the detector may hold: the one it looks at, and two keyframes that wait for it.
 constexpr int kDetectorSlots = 3;
 
+/// Frames that an onlooker (pipeline/onlooker.h) may hold.
+constexpr int kOnlookerSlots = 4;
+
 /// Tracker and mapper. Two threads may call it, each its own half, or one thread both.
 class FrameStage {
  public:

@@ -5,6 +5,7 @@
 #include <exception>
 #include <string>
 
+#include "firmware_app/output/event_recorder.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 
@@ -33,6 +34,7 @@ int run_program(const char* name, int (*run)(int argc, char** argv, const std::a
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGHUP, SIG_IGN);
+  block_event_signal();
   int code = kExitFailed;
   try {
     code = run(argc, argv, stop);

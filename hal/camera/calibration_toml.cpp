@@ -35,6 +35,28 @@ YAML::Node as_yaml(const toml::node& node) {
   return out;
 }
 
+/// A key a line; both languages write text and lists alike.
+std::string keys_of(const CameraCalibration& c, const std::string& is) {
+  const bool fisheye = c.distortion_model == CameraCalibration::Distortion::kKannalaBrandt4;
+  std::string out;
+  const auto add = [&](const char* key, const std::string& value) { out += key + is + value + "\n"; };
+  add("model", "\"pinhole\"");
+  add("width", std::to_string(c.width));
+  add("height", std::to_string(c.height));
+  for (const auto& [key, value] : {std::pair{"fx", c.fx}, {"fy", c.fy}, {"cx", c.cx}, {"cy", c.cy}}) {
+    add(key, number(value));
+  }
+  add("distortion_model", fisheye ? "\"equidistant\"" : "\"radtan\"");
+  add("distortion", list(c.distortion, fisheye || c.distortion[4] == 0 ? 4 : 5));
+  add("image_channels", std::to_string(c.channels));
+  if (c.fps > 0) add("fps", number(c.fps));
+  add("shutter", c.readout_frames > 0 ? "\"rolling\"" : "\"global\"");
+  if (c.readout_frames > 0 && c.fps > 0) add("readout_s", number(c.readout_s()));
+  if (c.T_body_cam) add("T_body_cam", list(*c.T_body_cam, 16));
+  if (c.time_offset_s) add("time_offset_s", number(*c.time_offset_s));
+  return out;
+}
+
 }  // namespace
 
 namespace yaml {
@@ -55,21 +77,11 @@ YAML::Node load_toml(std::string_view text, const std::string& name) {
 }  // namespace yaml
 
 std::string calibration_toml(const CameraCalibration& c, const std::string& comment) {
-  const bool fisheye = c.distortion_model == CameraCalibration::Distortion::kKannalaBrandt4;
-  std::string out = comment + "[camera]\nmodel = \"pinhole\"\nwidth = " + std::to_string(c.width) +
-                    "\nheight = " + std::to_string(c.height);
-  for (const auto& [key, value] : {std::pair{"fx", c.fx}, {"fy", c.fy}, {"cx", c.cx}, {"cy", c.cy}}) {
-    out += std::string("\n") + key + " = " + number(value);
-  }
-  out += std::string("\ndistortion_model = \"") + (fisheye ? "equidistant" : "radtan") +
-         "\"\ndistortion = " + list(c.distortion, fisheye || c.distortion[4] == 0 ? 4 : 5) +
-         "\nimage_channels = " + std::to_string(c.channels);
-  if (c.fps > 0) out += "\nfps = " + number(c.fps);
-  out += std::string("\nshutter = \"") + (c.readout_frames > 0 ? "rolling" : "global") + "\"";
-  if (c.readout_frames > 0 && c.fps > 0) out += "\nreadout_s = " + number(c.readout_s());
-  if (c.T_body_cam) out += "\nT_body_cam = " + list(*c.T_body_cam, 16);
-  if (c.time_offset_s) out += "\ntime_offset_s = " + number(*c.time_offset_s);
-  return out + "\n";
+  return comment + "[camera]\n" + keys_of(c, " = ");
+}
+
+std::string calibration_yaml(const CameraCalibration& c, const std::string& comment) {
+  return comment + keys_of(c, ": ");
 }
 
 }  // namespace godwit::hal

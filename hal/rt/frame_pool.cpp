@@ -35,9 +35,10 @@ Result<std::unique_ptr<FramePool>> FramePool::create(const Layout& layout) {
     return Error{"frame pool: " + std::to_string(layout.slots) + " slots; allowed are 1 to " +
                  std::to_string(kMaxFrameSlots)};
   }
-  if (layout.readers < 1 || layout.readers > kMaxFrameReaders) {
+  const int most_readers = kMaxFrameReaders - (layout.onlooker ? 1 : 0);
+  if (layout.readers < 1 || layout.readers > most_readers) {
     return Error{"frame pool: " + std::to_string(layout.readers) + " readers; allowed are 1 to " +
-                 std::to_string(kMaxFrameReaders)};
+                 std::to_string(most_readers)};
   }
   std::unique_ptr<FramePool> pool(new FramePool(layout));
   if (pool->memory_ == nullptr) {
@@ -57,7 +58,8 @@ FramePool::FramePool(const Layout& layout) : layout_(layout), slots_(static_cast
   const std::size_t total = slot_bytes_ * static_cast<std::size_t>(layout.slots);
   memory_.reset(static_cast<std::uint8_t*>(std::aligned_alloc(kRowAlignment, total)));
   if (memory_ != nullptr) std::memset(memory_.get(), 0, total);  // touched: no page fault once armed
-  for (int i = 0; i < layout.readers; ++i) returns_.push_back(std::make_unique<ReturnRing>());
+  const int rings = layout.readers + (layout.onlooker ? 1 : 0);
+  for (int i = 0; i < rings; ++i) returns_.push_back(std::make_unique<ReturnRing>());
 }
 
 void FramePool::collect() {
@@ -102,6 +104,11 @@ void FramePool::cancel(int slot) {
 FrameReturn FramePool::reader(int index) {
   assert(index >= 0 && index < layout_.readers);
   return {this, index};
+}
+
+FrameReturn FramePool::onlooker() {
+  assert(layout_.onlooker);
+  return {this, layout_.readers};
 }
 
 MutableImageView FramePool::grey(int slot) const {

@@ -62,6 +62,9 @@ class FramePool {
     bool colour = false;            ///< also a BGR picture in each slot
     int slots = 0;                  ///< 1 to kMaxFrameSlots
     int readers = 0;                ///< 1 to kMaxFrameReaders
+    /// One more who reads (counts among kMaxFrameReaders), and gets a reference to a frame only where the owner says
+    /// so.
+    bool onlooker = false;
   };
 
   /// Allocates and touches everything. Error: a size or number out of range, or no memory.
@@ -78,6 +81,8 @@ class FramePool {
 
   /// The return ring of reader 0 .. readers-1.
   FrameReturn reader(int index);
+  /// That of Layout::onlooker.
+  FrameReturn onlooker();
 
   /// The owner between acquire and hand_out may write, holders of a reference may read; the pyramid storage belongs to
   /// the first reader. Level 0 has kRowAlignment-aligned rows and at least kRowAlignment readable bytes behind it.

@@ -229,22 +229,25 @@ TEST(CalibrationToml, WhatIsWrittenIsReadAgainToTheBit) {
   for (const auto model : {CameraCalibration::Distortion::kRadTan, CameraCalibration::Distortion::kKannalaBrandt4}) {
     c.distortion_model = model;
     if (model == CameraCalibration::Distortion::kKannalaBrandt4) c.distortion[4] = 0;
-    const auto read = parse_calibration(calibration_toml(c, "# a word\n"), "camera.toml");
-    ASSERT_TRUE(read.ok()) << read.error().message;
-    const CameraCalibration& r = read.value();
-    EXPECT_EQ(r.width, c.width);
-    EXPECT_EQ(r.height, c.height);
-    EXPECT_EQ(r.fx, c.fx);
-    EXPECT_EQ(r.fy, c.fy);
-    EXPECT_EQ(r.cx, c.cx);
-    EXPECT_EQ(r.cy, c.cy);
-    EXPECT_EQ(r.distortion_model, c.distortion_model);
-    EXPECT_EQ(r.distortion, c.distortion);
-    EXPECT_EQ(r.channels, c.channels);
-    EXPECT_EQ(r.fps, c.fps);
-    EXPECT_NEAR(r.readout_frames, c.readout_frames, 1e-12);
-    EXPECT_EQ(r.T_body_cam, c.T_body_cam);
-    EXPECT_EQ(r.time_offset_s, c.time_offset_s);
+    for (const bool yaml : {false, true}) {
+      const auto read = yaml ? parse_calibration(calibration_yaml(c, "# a word\n"), "sensor.yaml")
+                             : parse_calibration(calibration_toml(c, "# a word\n"), "camera.toml");
+      ASSERT_TRUE(read.ok()) << read.error().message;
+      const CameraCalibration& r = read.value();
+      EXPECT_EQ(r.width, c.width);
+      EXPECT_EQ(r.height, c.height);
+      EXPECT_EQ(r.fx, c.fx);
+      EXPECT_EQ(r.fy, c.fy);
+      EXPECT_EQ(r.cx, c.cx);
+      EXPECT_EQ(r.cy, c.cy);
+      EXPECT_EQ(r.distortion_model, c.distortion_model);
+      EXPECT_EQ(r.distortion, c.distortion);
+      EXPECT_EQ(r.channels, c.channels);
+      EXPECT_EQ(r.fps, c.fps);
+      EXPECT_NEAR(r.readout_frames, c.readout_frames, 1e-12);
+      EXPECT_EQ(r.T_body_cam, c.T_body_cam);
+      EXPECT_EQ(r.time_offset_s, c.time_offset_s);
+    }
   }
 }
 

@@ -154,8 +154,8 @@ TEST(FlightLog, LeavesRoomOnTheDiscForOthers) {
   const TempFolder folder;
   FlightLogOptions o = options(folder.path());
   // No disc has more free than it is large.
-  o.leave_bytes = std::numeric_limits<std::size_t>::max();
-  o.leave_share = 1;
+  o.room.leave_bytes = std::numeric_limits<std::size_t>::max();
+  o.room.leave_share = 1;
   FlightLog log(o);
   log.frame(frame(0));
   const FlightLogReport report = log.finish(60 * rt::kNsPerSecond);

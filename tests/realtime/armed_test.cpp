@@ -1,4 +1,5 @@
-// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks; page faults and memory watched.
+// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks, the event recorder beside them;
+// page faults and memory watched.
 // One minute; or, as root, with the figures of README.md,
 //   GODWIT_ARMED_FRAMES=10000 [GODWIT_ARMED_LOAD=1] build/release/tests/realtime/armed_test --gtest_filter='Armed.No*'
 // LOAD: a program that computes without end on the last processor. 18000 frames are ten minutes.
@@ -13,10 +14,12 @@
 
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/output/event_recorder.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/lock_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/realtime/flown.h"
+#include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
@@ -57,6 +60,21 @@ double percentile(std::vector<double> values, double p) {
   return values[static_cast<std::size_t>(p * static_cast<double>(values.size() - 1))];
 }
 
+/// Asks for an event in the middle of the flight.
+class Asking final : public test::Notes {
+ public:
+  Asking(std::size_t frames, EventRecorder* recorder) : Notes(frames), frames_(frames), recorder_(recorder) {}
+  rt::Result<void> take(const FrameRecord& record) override {
+    recorder_->frame(record);
+    if (records.size() == frames_ / 2) recorder_->request("the test");
+    return Notes::take(record);
+  }
+
+ private:
+  const std::size_t frames_;
+  EventRecorder* const recorder_;
+};
+
 TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   const int frames = test::from_environment("GODWIT_ARMED_FRAMES", 1800);
   const int fps = test::from_environment("GODWIT_ARMED_FPS", 30);
@@ -66,8 +84,16 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   camera_options.total = frames;
   const auto camera = test::camera_of(camera_options);
   test::RestingImu imu;
-  test::Odometry odometry;
-  test::Notes notes(static_cast<std::size_t>(frames));
+  test::Odometry odometry(false, false, true);
+  // As the daemon flies it: copying all the time, and writing once.
+  const test::TempFolder events;
+  EventRecorderOptions recorder_options;
+  recorder_options.folder = events / "events";
+  recorder_options.calibration = test::world().calibration;
+  recorder_options.by_signal = false;
+  auto recorder = EventRecorder::start(recorder_options, odometry.pool.get());
+  ASSERT_TRUE(recorder.ok()) << recorder.error().message;
+  Asking notes(static_cast<std::size_t>(frames), recorder.value().get());
 
   Config config;
   config.threads.lock_memory = true;
@@ -81,6 +107,7 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   PipelineOptions options;
   options.newest_frame = true;
   options.imu = &imu;
+  options.onlooker = recorder.value()->onlooker();
   plan_pipeline(config, fps, &options);
   const Load load(loaded);
 
@@ -110,6 +137,8 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   munlockall();
 
   ASSERT_TRUE(run.ok()) << run.error().message;
+  const EventReport written = recorder.value()->finish(60 * rt::kNsPerSecond);
+  EXPECT_GE(written.written, 1u) << written.trouble;
   PipelineCounters c = run.value();
   c.threads.push_back(link->thread_report());
   EXPECT_EQ(c.due, static_cast<std::uint64_t>(frames));
@@ -136,7 +165,8 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
     std::printf("page faults are NOT held against it, memory cannot be locked here: %s\n", refused.c_str());
   }
   for (const ThreadReport& t : c.threads) EXPECT_LT(t.stack_used, rt::kThreadStackBytes * 3 / 4) << t.name;
-  EXPECT_LT(resident_after - resident_before, 1024) << "[kB] memory is constant in flight";
+  // An event that is written takes a picture's size and libpng's workspace, once.
+  EXPECT_LT(resident_after - resident_before, 1024 + 768) << "[kB] memory is constant in flight";
 
   std::printf(
       "%d frames at %d a second%s: %d tracked, %llu late, %llu dropped; capture to pose median %.2f ms, p99 %.2f, "

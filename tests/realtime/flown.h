@@ -93,13 +93,15 @@ class RestingImu final : public hal::Imu {
 
 /// Pool and stage for the street's camera.
 struct Odometry {
-  explicit Odometry(bool with_detector = false, bool inertial = false) {
+  explicit Odometry(bool with_detector = false, bool inertial = false, bool onlooker = false) {
     rt::FramePool::Layout layout;
     layout.width = world().calibration.width;
     layout.height = world().calibration.height;
     layout.pyramid_bytes = app::odometry_pyramid_bytes(layout.width, layout.height);
     layout.slots = app::odometry_frame_slots() + (with_detector ? app::kDetectorSlots : 0);
     layout.readers = with_detector ? app::kFrameReadersWithDetector : app::kFrameReaders;
+    layout.onlooker = onlooker;
+    if (onlooker) layout.slots += app::kOnlookerSlots;
     pool = std::move(rt::FramePool::create(layout)).value();
     auto model = app::make_camera_model(world().calibration);
     app::OdometryOptions options = app::odometry_options(world().calibration);

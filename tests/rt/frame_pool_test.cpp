@@ -182,5 +182,22 @@ TEST(FramePoolStress, ThreeThreadsNeverSeeASlotReusedUnderTheirEyes) {
   EXPECT_EQ(free_again.count(-1), 0u);
 }
 
+TEST(FramePool, AnOnlookerHoldsASlotOnlyWhereItGotAReference) {
+  FramePool::Layout with = layout(1, 2);
+  with.onlooker = true;
+  auto pool = std::move(FramePool::create(with)).value();
+  FrameReturn first = pool->reader(0), onlooker = pool->onlooker();
+  pool->hand_out(pool->acquire(), 2);
+  first.give_back(0, 2);
+  EXPECT_EQ(pool->acquire(), 0) << "it was shown nothing";
+  pool->hand_out(0, 3);
+  first.give_back(0, 2);
+  EXPECT_EQ(pool->acquire(), -1);
+  onlooker.give_back(0);
+  EXPECT_EQ(pool->acquire(), 0);
+  with.readers = kMaxFrameReaders;
+  EXPECT_FALSE(FramePool::create(with).ok()) << "one too many";
+}
+
 }  // namespace
 }  // namespace godwit::rt
