@@ -10,6 +10,7 @@
 #include "firmware_app/commands/record_command.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
+#include "firmware_app/commands/top_command.h"
 #include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
@@ -38,6 +39,8 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   add_calibrate_command(&app, &calibrate);
   SimArguments sim;
   add_sim_command(&app, &sim);
+  TopArguments top;
+  add_top_command(&app, &top);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -49,6 +52,7 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   if (app.got_subcommand("record")) return run_record(record, stop);
   if (app.got_subcommand("calibrate")) return run_calibrate(calibrate, stop);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
+  if (app.got_subcommand("top")) return run_top(top, stop);
   return run_replay(replay, stop);
 }
 

@@ -33,6 +33,10 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   // Under systemd (StateDirectory=) what is to be kept has a folder, unless the configuration names another.
   const char* const state = std::getenv("STATE_DIRECTORY");
   if (state != nullptr && report.config.link.state_folder.empty()) report.config.link.state_folder = state;
+  // The same of what lasts as long as the service (RuntimeDirectory=).
+  const char* const runtime = std::getenv("RUNTIME_DIRECTORY");
+  if (runtime != nullptr && report.config.live.socket.empty())
+    report.config.live.socket = std::string(runtime) + "/live";
   if (report.ok()) check_for_daemon(&report);
   for (const std::string& mistake : report.mistakes) error_log().put("godwitd: " + mistake);
   return report.ok() ? run_daemon(report.config, stop) : static_cast<int>(kExitRefused);

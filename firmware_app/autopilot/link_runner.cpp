@@ -157,6 +157,7 @@ void LinkRunner::run_keeper() {
     }
     look_at_machine(rt::monotonic_now_ns());
     if (service_->take_status(&status_)) watch(status_);
+    quality_.store(status_.quality, std::memory_order_relaxed);
     keeper_pulse_.beat();
     rt::sleep_until_ns(rt::monotonic_now_ns() + kKeeperPeriodNs);
   }

@@ -68,6 +68,9 @@ class LinkRunner final : public FrameTap {
   /// The log gets its report at the keeper's next look, not at the end of the minute. Any thread.
   void ask_for_words() { words_asked_.store(true, std::memory_order_relaxed); }
 
+  /// As the autopilot was told last; -1: there was none. Any thread.
+  int quality() const { return quality_.load(std::memory_order_relaxed); }
+
   /// Ends the threads and returns the last status. Afterwards nothing is sent any more.
   const link::LinkStatus& finish();
   /// How gw-link fared; valid after finish().
@@ -98,6 +101,7 @@ class LinkRunner final : public FrameTap {
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
   /// silence by then.
   std::atomic<rt::TimeNs> t_tracker_alive_ns_{0};
+  std::atomic<int> quality_{-1};          ///< keeper -> anybody; relaxed, a figure alone
   std::atomic<bool> words_asked_{false};  ///< anybody -> keeper; relaxed, a flag alone
   std::atomic<bool> camera_silent_{false};
   std::atomic<bool> imu_ok_{true};

@@ -145,6 +145,12 @@ struct Config {
     int budget_mb = 2000;  ///< of all events in it
     int events = 20;       ///< of one flight
   } recorder;
+
+  /// Where godwitd tells whoever looks at it (output/live_server.h).
+  struct Live {
+    bool enabled = true;
+    std::string socket;  ///< empty: `live` in the service's runtime folder; without that nowhere
+  } live;
 };
 
 /// A configuration, or everything that is wrong with it.

@@ -121,6 +121,9 @@ void add_link(Config* c, std::vector<Key>* to) {
            keys::whole("recorder.memory_mb", 10, 8000, &c->recorder.memory_mb),
            keys::whole("recorder.budget_mb", 10, 1'000'000, &c->recorder.budget_mb),
            keys::whole("recorder.events", 1, 1000, &c->recorder.events),
+
+           keys::flag("live.enabled", &c->live.enabled),
+           keys::text("live.socket", 107, "a path", &c->live.socket),
        }) {
     to->push_back(std::move(key));
   }

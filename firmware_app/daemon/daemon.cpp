@@ -19,6 +19,8 @@
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_log.h"
 #include "firmware_app/output/line_log.h"
+#include "firmware_app/output/live_server.h"
+#include "firmware_app/output/live_status.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
 #include "hal/machine/machine_state.h"
@@ -39,16 +41,18 @@ int give_up(const std::string& line) {
   return kExitFailed;
 }
 
-/// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null.
+/// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null,
+/// and for whoever looks.
 class Journal final : public FrameSink {
  public:
   Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log,
-          EventRecorder* recorder)
+          EventRecorder* recorder, LiveStatus* live)
       : manager_(manager),
         locks_memory_(locks_memory),
         memory_refused_(std::move(memory_refused)),
         log_(log),
-        recorder_(recorder) {}
+        recorder_(recorder),
+        live_(live) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
@@ -63,12 +67,15 @@ class Journal final : public FrameSink {
     if (record.tracked) ++tracked_;
     if (log_ != nullptr) log_->frame(record);
     if (recorder_ != nullptr) recorder_->frame(record);
+    live_->frame(record);
     return {};
   }
   void event(const rt::LogEntry& e) override {
     clock_.heard(e.t_ns);
     if (log_ != nullptr) log_->event(e);
-    say(event_line(e, clock_.first_ns()));
+    const std::string line = event_line(e, clock_.first_ns());
+    live_->event(e, line);
+    say(line);
   }
   std::uint64_t tracked() const { return tracked_; }
 
@@ -78,6 +85,7 @@ class Journal final : public FrameSink {
   const std::string memory_refused_;
   FlightLog* const log_;
   EventRecorder* const recorder_;
+  LiveStatus* const live_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
@@ -144,6 +152,21 @@ std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
   return std::make_unique<FlightLog>(std::move(options));
 }
 
+/// Null: nobody may look, or it cannot be had, which grounds nobody.
+std::unique_ptr<LiveServer> begin_live(const Config& config, LiveStatus* status) {
+  if (!config.live.enabled || config.live.socket.empty()) return nullptr;
+  LiveServerOptions options;
+  options.socket = config.live.socket;
+  options.line = [status] { return status->snapshot(rt::monotonic_now_ns()); };
+  auto server = LiveServer::start(std::move(options));
+  if (!server) {
+    say("warning: live: " + server.error().message);
+    return nullptr;
+  }
+  say("live: " + config.live.socket);
+  return std::move(server).value();
+}
+
 void tell(const FlightLogReport& r) {
   say(fmt::format("flight log: {} kB in {} files, {} messages dropped{}", r.written_bytes / 1000, r.files, r.dropped,
                   r.trouble.empty() ? "" : "; " + r.trouble));
@@ -205,7 +228,12 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
     options.onlooker = recorder->onlooker();
     say("event recorder: " + recorder->description() + "; " + events);
   }
-  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get());
+  const hal::MachineMonitor live_machine;  // one thread reads each
+  LiveStatus live({version_words(version()),
+                   autopilot != nullptr ? std::function<int()>([autopilot] { return autopilot->quality(); }) : nullptr,
+                   &live_machine});
+  const std::unique_ptr<LiveServer> server = begin_live(config, &live);
+  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();

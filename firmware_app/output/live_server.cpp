@@ -1,0 +1,177 @@
+#include "firmware_app/output/live_server.h"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+#include <vector>
+
+#include "hal/rt/thread.h"
+
+namespace godwit::app {
+namespace {
+
+constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
+constexpr int kWaiting = 8;
+/// Larger than any line, so that a reader who is a moment late loses none.
+constexpr int kBufferBytes = 64 * 1024;
+
+rt::Error error_of(const std::string& socket, const char* doing) {
+  return {socket + ": " + doing + ": " + std::strerror(errno)};
+}
+
+/// Nothing: the path is too long.
+bool address_of(const std::string& socket, sockaddr_un* address) {
+  *address = {};
+  address->sun_family = AF_UNIX;
+  if (socket.empty() || socket.size() >= sizeof address->sun_path) return false;
+  std::memcpy(address->sun_path, socket.c_str(), socket.size() + 1);
+  return true;
+}
+
+/// Makes the place free where a program that has died left its socket.
+rt::Result<void> clear(const std::string& socket) {
+  struct stat about {};
+  if (::lstat(socket.c_str(), &about) != 0) return {};
+  if (!S_ISSOCK(about.st_mode)) return rt::Error{socket + ": is there, and no socket"};
+  if (const auto other = connect_live(socket); other.ok()) {
+    ::close(other.value());
+    return rt::Error{socket + ": another program serves it"};
+  }
+  if (::unlink(socket.c_str()) != 0) return error_of(socket, "cannot be removed");
+  return {};
+}
+
+}  // namespace
+
+struct LiveServer::State {
+  struct Reader {
+    int fd = -1;
+    std::string unsent;         // the rest of a line that was begun
+    rt::TimeNs t_taken_ns = 0;  // when it last took something
+  };
+
+  explicit State(LiveServerOptions o) : options(std::move(o)) {}
+  ~State() {
+    for (const Reader& reader : readers) ::close(reader.fd);
+    if (listening >= 0) ::close(listening);
+    if (end_fd >= 0) ::close(end_fd);
+  }
+
+  const LiveServerOptions options;
+  int listening = -1, end_fd = -1;
+  std::vector<Reader> readers;
+  rt::Thread thread;
+
+  void run();
+  void let_in();
+  void tell(rt::TimeNs now_ns);
+  bool send_rest(Reader* reader, rt::TimeNs now_ns) const;
+};
+
+/// False: it has gone.
+bool LiveServer::State::send_rest(Reader* reader, rt::TimeNs now_ns) const {
+  while (!reader->unsent.empty()) {
+    const ssize_t n = ::send(reader->fd, reader->unsent.data(), reader->unsent.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) return n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) && now_ns - reader->t_taken_ns < kPatienceNs;
+    reader->unsent.erase(0, static_cast<std::size_t>(n));
+    reader->t_taken_ns = now_ns;
+  }
+  return true;
+}
+
+void LiveServer::State::let_in() {
+  const int fd = ::accept4(listening, nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
+  if (fd < 0) return;
+  if (readers.size() >= options.readers) {
+    const std::string full = "{\"error\":\"" + std::to_string(readers.size()) + " others read already\"}\n";
+    (void)!::send(fd, full.data(), full.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+    ::close(fd);
+    return;
+  }
+  ::setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &kBufferBytes, sizeof kBufferBytes);
+  readers.push_back({fd, "", rt::monotonic_now_ns()});
+}
+
+void LiveServer::State::tell(rt::TimeNs now_ns) {
+  const std::string line = options.line() + "\n";
+  for (Reader& reader : readers) {
+    // Who has not taken the last one misses this one.
+    const bool behind = !reader.unsent.empty();
+    if (!behind) reader.unsent = line;
+    if (send_rest(&reader, now_ns)) continue;
+    ::close(reader.fd);
+    reader.fd = -1;
+  }
+  std::erase_if(readers, [](const Reader& r) { return r.fd < 0; });
+}
+
+void LiveServer::State::run() {
+  rt::TimeNs t_next_ns = 0;
+  while (true) {
+    std::array<pollfd, 2> waiting{{{listening, POLLIN, 0}, {end_fd, POLLIN, 0}}};
+    int timeout_ms = -1;
+    if (!readers.empty()) {
+      timeout_ms = static_cast<int>(std::max<rt::TimeNs>(0, t_next_ns - rt::monotonic_now_ns()) / rt::kNsPerMs) + 1;
+    }
+    if (::poll(waiting.data(), waiting.size(), timeout_ms) < 0 && errno != EINTR) return;
+    if (waiting[1].revents != 0) return;
+    const bool came = waiting[0].revents != 0;
+    if (came) let_in();
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    if (readers.empty() || (!came && now_ns < t_next_ns)) continue;
+    tell(now_ns);
+    t_next_ns = now_ns + options.interval_ns;
+  }
+}
+
+LiveServer::LiveServer(std::unique_ptr<State> state) : state_(std::move(state)) {}
+
+rt::Result<std::unique_ptr<LiveServer>> LiveServer::start(LiveServerOptions options) {
+  auto state = std::make_unique<State>(std::move(options));
+  const std::string& socket = state->options.socket;
+  sockaddr_un address{};
+  if (!address_of(socket, &address)) return rt::Error{"\"" + socket + "\" is no name for a socket: 1 to 107 bytes are"};
+  if (auto r = clear(socket); !r) return r.error();
+  state->listening = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  state->end_fd = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+  if (state->listening < 0 || state->end_fd < 0) return error_of(socket, "cannot be made");
+  // The group may connect, which takes the right to write.
+  ::fchmod(state->listening, 0660);
+  if (::bind(state->listening, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0 ||
+      ::chmod(socket.c_str(), 0660) != 0 || ::listen(state->listening, kWaiting) != 0) {
+    return error_of(socket, "cannot be made");
+  }
+  State* const s = state.get();
+  if (auto r = s->thread.start("gw-live", {}, [s] { s->run(); }); !r) return r.error();
+  return std::unique_ptr<LiveServer>(new LiveServer(std::move(state)));
+}
+
+LiveServer::~LiveServer() {
+  const std::uint64_t one = 1;
+  (void)!::write(state_->end_fd, &one, sizeof one);
+  state_->thread.join();
+  ::unlink(state_->options.socket.c_str());
+}
+
+rt::Result<int> connect_live(const std::string& socket) {
+  sockaddr_un address{};
+  if (!address_of(socket, &address)) return rt::Error{"\"" + socket + "\" is no name for a socket: 1 to 107 bytes are"};
+  const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd < 0) return error_of(socket, "no socket to be had");
+  if (::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0) return fd;
+  const int why = errno;
+  ::close(fd);
+  if (why == ENOENT || why == ECONNREFUSED) return rt::Error{socket + ": no godwitd serves it"};
+  errno = why;
+  return error_of(socket, "cannot be read");
+}
+
+}  // namespace godwit::app
