@@ -118,7 +118,10 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
                                                      DoctorReport* report, const std::atomic<bool>& stop) {
   link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
   settings.link.patience.first_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
-  settings.link.mavlink.attitude_hz = 20;
+  // The tilt test reads the attitude, nobody the rest.
+  link::mavlink::EndpointConfig& asked = settings.link.mavlink;
+  asked.attitude_hz = 20;
+  asked.imu_hz = asked.range_hz = asked.local_position_hz = asked.global_position_hz = 0;
   settings.collect_inputs = true;
   auto opened = link::LinkService::open(settings);
   if (!opened) {

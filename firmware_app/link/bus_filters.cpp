@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <initializer_list>
 
 #include "firmware_app/link/dronecan/types.h"
 
@@ -16,11 +17,15 @@ void BusFilters::follow(std::uint8_t node_id, hal::CanBus* bus, dronecan::Reasse
   // The reassembler does it again, so that a bus without filters is no danger.
   std::array<hal::CanFilter, hal::CanBus::kMaxFilters> filters{};
   std::size_t count = 0;
-  for (const std::uint16_t type :
-       {dronecan::TunnelTargetted::kType.id, dronecan::RangeMeasurement::kType.id, dronecan::StaticPressure::kType.id,
-        dronecan::RawImu::kType.id, dronecan::ArmingStatus::kType.id, dronecan::GlobalTimeSync::kType.id,
-        dronecan::Allocation::kType.id}) {
-    filters[count++] = {static_cast<std::uint32_t>(type) << 8, 0x00FFFF80, true};
+  const auto let_in = [&](std::initializer_list<std::uint16_t> types) {
+    for (const std::uint16_t type : types) {
+      filters[count++] = {static_cast<std::uint32_t>(type) << 8, 0x00FFFF80, true};
+    }
+  };
+  let_in({dronecan::TunnelTargetted::kType.id, dronecan::ArmingStatus::kType.id, dronecan::Allocation::kType.id});
+  if (inputs_) {
+    let_in({dronecan::RangeMeasurement::kType.id, dronecan::StaticPressure::kType.id, dronecan::RawImu::kType.id,
+            dronecan::GlobalTimeSync::kType.id});
   }
   if (node_id != 0) {
     filters[count++] = {node_id * 256U | 0x80U, 0x00007F80, true};

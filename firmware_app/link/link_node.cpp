@@ -57,6 +57,7 @@ LinkNode::LinkNode(const LinkConfig& config, const LinkPorts& ports, const Store
             return endpoint;
           }(),
           &carrier_, ports.inputs),
+      filters_(ports.inputs != nullptr),
       watch_(config.patience),
       resets_(stored.reset_counter) {
   config_.odometry.profile = static_cast<Profile>(parameters_.get(Parameter::kProfile));

@@ -1,15 +1,19 @@
 // The rules that LinkNode binds together, each for itself: health, pacing, silence, arming, words, what sending costs.
+#include <algorithm>
 #include <cstring>
 #include <gtest/gtest.h>
 #include <set>
 
 #include "firmware_app/link/arming_watch.h"
 #include "firmware_app/link/bus_account.h"
+#include "firmware_app/link/bus_filters.h"
 #include "firmware_app/link/condition.h"
+#include "firmware_app/link/dronecan/types.h"
 #include "firmware_app/link/pose_pacing.h"
 #include "firmware_app/link/pose_watch.h"
 #include "firmware_app/link/reset_counter.h"
 #include "firmware_app/link/status_texts.h"
+#include "tests/link/fake_bus.h"
 
 namespace godwit::link {
 namespace node_rules_test {
@@ -232,6 +236,26 @@ TEST(BusAccount, APoseIsOutWithItsLastFrameAndWhatIsLostIsTrouble) {
   EXPECT_FALSE(account.each_second(tx, 1e6, false).trouble) << "of the last second only";
   EXPECT_TRUE(account.each_second(tx, 1e6, true).trouble);
   EXPECT_EQ(figures.load_percent, 0);
+}
+
+TEST(BusFilters, WhatNobodyReadsIsNotLetIn) {
+  for (const bool inputs : {false, true}) {
+    FakeBus bus;
+    dronecan::Reassembler reassembler({dronecan::TunnelTargetted::kType});
+    BusFilters filters(inputs);
+    filters.follow(kTestNode, &bus, &reassembler);
+    const auto let_in = [&](std::uint16_t type) {
+      const std::uint32_t id = static_cast<std::uint32_t>(type) << 8 | kTestAutopilot;
+      return std::any_of(bus.filters.begin(), bus.filters.end(),
+                         [&](const hal::CanFilter& f) { return (id & f.mask) == (f.id & f.mask); });
+    };
+    for (const std::uint16_t sensor : {dronecan::RangeMeasurement::kType.id, dronecan::StaticPressure::kType.id,
+                                       dronecan::RawImu::kType.id, dronecan::GlobalTimeSync::kType.id}) {
+      EXPECT_EQ(let_in(sensor), inputs) << sensor;
+    }
+    EXPECT_TRUE(let_in(dronecan::TunnelTargetted::kType.id));
+    EXPECT_TRUE(let_in(dronecan::ArmingStatus::kType.id));
+  }
 }
 
 TEST(ResetCounter, IsReservedOnDiskAheadOfUse) {
