@@ -158,13 +158,19 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   };
   weigh(9, 3, model.imu.gyro_walk * root);
   weigh(12, 3, model.imu.accel_walk * root);
-  weigh(15, 1, model.scale_walk * root);
-  weigh(16, 2, model.up_walk * root);
+  // What vision says of how it strays, of the two the worse.
+  const double rotation_rate = std::sqrt(std::max(at_i.rotation_rate, at_j.rotation_rate));
+  const double position_rate = std::sqrt(std::max(at_i.position_rate, at_j.position_rate));
+  const double moved = std::hypot((at_j.camera - at_i.camera).norm() / at_j.depth,
+                                  (at_j.R_map_cam - at_i.R_map_cam).norm() / std::sqrt(2.0));
+  const double moving = std::min(1.0, moved / model.still);
+  weigh(15, 1, root * std::hypot(model.scale_walk, moving * model.scale_stray * position_rate / at_j.depth));
+  weigh(16, 2, root * std::hypot(model.up_walk, moving * model.up_stray * rotation_rate));
   weigh(18, 3, model.mounting_walk * root);
   weigh(21, 1, model.time_walk * root);
-  weigh(22, 3, model.rotation_walk * root);
+  weigh(22, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));
   weigh(25, 3,
-        std::hypot(model.position_walk * at_i.depth * root,
+        std::hypot(root * model.position_walk * at_i.depth, root * model.position_stray * position_rate,
                    model.own_position * std::hypot(at_i.own_position, at_j.own_position)));
 }
 

@@ -1,8 +1,11 @@
 #include "vo_core/inertial_odometry.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
+
+#include "vo_core/pose_certainty.h"
 
 namespace godwit::vo {
 
@@ -29,6 +32,10 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
   sight.camera = pose.T_map_cam.t;
   sight.depth = std::max(1e-6, pose.median_depth);
   sight.own_position = std::sqrt(pose.own_covariance.diagonal().head<3>().mean());
+  sight.position_rate = position_rate_ * sight.depth * sight.depth;
+  sight.rotation_rate = rotation_rate_;
+  sight.position_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().head<3>().mean()));
+  sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
   // The rate over 10 ms around the frame.
   Preintegration around;
   buffer_.integrate(pose.t_ns - 5 * rt::kNsPerMs, pose.t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
@@ -36,8 +43,23 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
   return sight;
 }
 
+void InertialOdometry::judge_stray(const VisualPose& pose) {
+  if (pose.map_id != stray_map_id_) rotation_rate_ = position_rate_ = 0;
+  stray_map_id_ = pose.map_id;
+  const double kept = std::exp(-2 * rt::to_seconds(pose.t_ns - t_stray_ns_) / rt::to_seconds(options_.stray_memory_ns));
+  t_stray_ns_ = pose.t_ns;
+  rotation_rate_ *= kept;
+  position_rate_ *= kept;
+  if (pose.relative_age_ns <= 0) return;
+  const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.stray_age_ns));
+  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
+  const auto variances = pose.relative_covariance.diagonal();
+  position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
+  rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
+}
+
 void InertialOdometry::begin_window(const VisualPose& pose) {
-  if (metric_) {
+  if (metric_ && prior_kept_) {
     // What the sensor is like outlives the map.
     const S& x = smoother_.newest();
     prior_.bias = x.bias;
@@ -50,6 +72,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3e-2));
   }
   metric_ = told_ = false;
+  prior_kept_ = true;
   smoother_.clear();
   map_id_ = pose.map_id;
   InertialNode node;
@@ -97,10 +120,17 @@ bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
   const double chi2 = report.chi2 / std::max(1, report.rows);
   if (!(chi2 < options_.begin_chi2))
     return refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
-  const ImuBias& b = smoother_.newest().bias;
-  const double off = std::max((b.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
-                              (b.accel - prior_.bias.accel).norm() / prior_.accel_bias_sigma);
-  if (!(off < 4)) return refuse("the biases would be absurd [sigmas]", off, 4);
+  return plausible(4);
+}
+
+bool InertialOdometry::plausible(double most_sigmas) {
+  const S& x = smoother_.newest();
+  const double off = std::max((x.bias.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
+                              (x.bias.accel - prior_.bias.accel).norm() / prior_.accel_bias_sigma);
+  if (!(off < most_sigmas)) return refuse("the biases would be absurd [sigmas]", off, most_sigmas);
+  const double turned = (x.mounting - prior_.mounting).norm() / prior_.mounting_sigma;
+  if (!(turned < most_sigmas))
+    return refuse("the sensor would sit far from how it is configured [sigmas]", turned, most_sigmas);
   return true;
 }
 
@@ -133,6 +163,8 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   metric_ = true;
   ++begun_;
   refusal_ = {};
+  anchor_pose_ = pose.T_map_cam;
+  anchor_covariance_ = pose.covariance;
   anchor_map_ = last_camera_ = pose.T_map_cam.t;
   way_ = 0;
   // The heading: that of the last map, or the camera's first one along x.
@@ -164,6 +196,7 @@ void InertialOdometry::level() {
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (!pose.tracked || buffer_.empty()) return {};
+  judge_stray(pose);
   if (smoother_.size() == 0 || pose.map_id != map_id_) {
     begin_window(pose);
     return {};
@@ -186,11 +219,24 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     if (!report.ok || !(sigma < options_.lost_scale_sigma)) {
       refuse("the scale was lost: its sigma", sigma, options_.lost_scale_sigma);
       begin_window(pose);
+    } else if (!plausible(options_.most_sigmas)) {
+      // What vision and sensor disagree about has gone where it could go: nothing of this window can be believed.
+      prior_kept_ = false;
+      begin_window(pose);
     } else {
       level();
     }
   }
   return metric_ ? tell(pose) : MetricPose{};
+}
+
+Mat6 InertialOdometry::grown_since_anchor(const VisualPose& pose) const {
+  const Mat6 to_here = adjoint(pose.T_map_cam.inverse() * anchor_pose_);
+  const Mat6 difference = pose.covariance - to_here * anchor_covariance_ * to_here.transpose();
+  // The map may know both better by now than it said of the anchor then: no less than nothing.
+  const Eigen::SelfAdjointEigenSolver<Mat6> eigen(0.5 * (difference + difference.transpose()));
+  const Mat6 axes = eigen.eigenvectors();
+  return axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose() + pose.own_covariance;
 }
 
 MetricPose InertialOdometry::tell(const VisualPose& pose) {
@@ -237,7 +283,8 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   Mat6 to_nav = Mat6::Zero();
   to_nav.topLeftCorner<3, 3>() = s * out.T_nav_cam.R;
   to_nav.bottomRightCorner<3, 3>() = out.T_nav_cam.R;
-  out.covariance += to_nav * pose.covariance * to_nav.transpose();
+  const Mat6 grown = grown_since_anchor(pose);
+  out.covariance += to_nav * grown * to_nav.transpose();
   const double place = std::hypot(options_.model.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
   const double drift = options_.drift_share * s * way_;
   out.covariance.diagonal().head<3>().array() += place * place + drift * drift;

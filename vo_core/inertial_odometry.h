@@ -17,12 +17,14 @@ struct VisualPose {
   bool tracked = false;
   std::uint32_t map_id = 0;
   SE3 T_map_cam;
-  Mat6 covariance = Mat6::Zero();      ///< of the left twist (v, w) of T_cam_map, map units and rad
-  Mat6 own_covariance = Mat6::Zero();  ///< the same of this picture's own matches alone
-  double median_depth = 1;             ///< [map units]
-  bool map_moved = false;              ///< the map was corrected before this frame; by it the last frame's camera
-  Vec3 moved_by = Vec3::Zero();        ///< moved [map units]
-  Vec3 turned_by = Vec3::Zero();       ///< and turned, rotation vector along the map's axes
+  Mat6 covariance = Mat6::Zero();           ///< of the left twist (v, w) of T_cam_map, map units and rad
+  Mat6 own_covariance = Mat6::Zero();       ///< the same of this picture's own matches alone
+  Mat6 relative_covariance = Mat6::Zero();  ///< the same of the pose relative to a keyframe of the map
+  rt::TimeNs relative_age_ns = 0;           ///< that is so much older; 0: there is none
+  double median_depth = 1;                  ///< [map units]
+  bool map_moved = false;                   ///< the map was corrected before this frame; by it the last frame's camera
+  Vec3 moved_by = Vec3::Zero();             ///< moved [map units]
+  Vec3 turned_by = Vec3::Zero();            ///< and turned, rotation vector along the map's axes
 };
 
 struct InertialOdometryOptions {
@@ -40,7 +42,15 @@ struct InertialOdometryOptions {
   double begin_chi2 = 3;         ///< a degree of freedom
   /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
   double lost_scale_sigma = 0.15;
+  double most_sigmas = 6;  ///< the same for biases and mounting, in sigmas of what they were taken to be at first
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
+  /// Vision's error relative to a keyframe is taken for a walk since then; one that is older counts as so old, since
+  /// the tracker's keyframes are about this far apart and it does not stray while it sees nothing new.
+  rt::TimeNs stray_age_ns = 500 * rt::kNsPerMs;
+  /// What is hung on a wrong part of a map inherits its error and does not know it. Measured on a take-off over flat
+  /// ground (scenario gnss-loss): 20 mrad in the half second in which the map began, 10 mrad 2 s later, 2 mrad 6 s
+  /// later, told from the second second on: 0.5 mrad.
+  rt::TimeNs stray_memory_ns = 5 * rt::kNsPerSecond;
   double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
@@ -85,13 +95,20 @@ class InertialOdometry {
   std::uint64_t refused_readings() const { return buffer_.refused(); }
 
  private:
+  /// How fast vision strays now, by what it says itself.
+  void judge_stray(const VisualPose& pose);
   void begin_window(const VisualPose& pose);
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
   bool refuse(const char* text, double value, double limit);
+  /// Biases and mounting are no further from what they were taken to be at first.
+  bool plausible(double most_sigmas);
   bool convincing(const InertialSmoother::Report& report);
   void level();
   MetricPose tell(const VisualPose& pose);
+  /// Covariance of the left twist of T_cam_map without what was wrong at the anchor already: that is in the frame's
+  /// origin and heading.
+  Mat6 grown_since_anchor(const VisualPose& pose) const;
   VisionSight sight_of(const VisualPose& pose) const;
 
   const InertialOdometryOptions options_;
@@ -99,12 +116,19 @@ class InertialOdometry {
   ImuBuffer buffer_;
   InertialSmoother smoother_;
   bool metric_ = false;
+  bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
   std::uint32_t begun_ = 0;
   std::uint32_t map_id_ = 0;
+  // How fast vision strays [rad^2/s, depths^2/s], and of which map and when that was judged last.
+  double rotation_rate_ = 0, position_rate_ = 0;
+  std::uint32_t stray_map_id_ = 0;
+  rt::TimeNs t_stray_ns_ = 0;
   Refusal refusal_;
   // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).
   Mat3 R_nav_map_ = Mat3::Identity();
   Vec3 anchor_map_ = Vec3::Zero(), anchor_nav_ = Vec3::Zero();
+  SE3 anchor_pose_;  ///< the anchor's, camera to map
+  Mat6 anchor_covariance_ = Mat6::Zero();
   SE3 last_map_;  ///< the last pose told, as vision has it, corrections of the map taken in
   SE3 last_nav_;  ///< the last pose told: where a new map is joined on
   bool have_nav_ = false;

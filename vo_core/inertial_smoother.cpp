@@ -103,9 +103,11 @@ void InertialSmoother::add(const InertialNode& node) {
 double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
   SightJacobian J;
   Vec6 r = sight_residual(state(i), node(i).sight, mounting_, &J);
-  const double position_sigma = model_.position_sigma * node(i).sight.depth;
-  r.head<3>() /= model_.rotation_sigma;
-  J.topRows<3>() /= model_.rotation_sigma;
+  const VisionSight& sight = node(i).sight;
+  const double position_sigma = std::hypot(model_.position_sigma * sight.depth, model_.in_map * sight.position_in_map);
+  const double rotation_sigma = std::hypot(model_.rotation_sigma, model_.in_map * sight.rotation_in_map);
+  r.head<3>() /= rotation_sigma;
+  J.topRows<3>() /= rotation_sigma;
   r.tail<3>() /= position_sigma;
   J.bottomRows<3>() /= position_sigma;
   H->noalias() += J.transpose().lazyProduct(J);

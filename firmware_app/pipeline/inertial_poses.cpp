@@ -18,8 +18,8 @@ constexpr double kMostForce = 1000;  // [m/s^2]
 /// All of vision's numbers that are used are numbers.
 bool finite(const vo::FrameResult& r) {
   return r.T_world_cam.R.allFinite() && r.T_world_cam.t.allFinite() && r.covariance.allFinite() &&
-         r.own_covariance.allFinite() && std::isfinite(r.median_depth) && r.moved_by.allFinite() &&
-         r.turned_by.allFinite();
+         r.own_covariance.allFinite() && r.relative.covariance.allFinite() && std::isfinite(r.median_depth) &&
+         r.moved_by.allFinite() && r.turned_by.allFinite();
 }
 
 vo::CameraMounting mounting_of(const std::array<double, 16>& T) {
@@ -99,6 +99,8 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.T_map_cam = result.T_world_cam;
   seen.covariance = result.covariance;
   seen.own_covariance = result.own_covariance;
+  seen.relative_covariance = result.relative.covariance;
+  if (result.relative.keyframe_id != 0) seen.relative_age_ns = t_ns - shift_ns_ - result.relative.t_keyframe_ns;
   seen.median_depth = result.median_depth;
   seen.map_moved = result.map_moved;
   seen.moved_by = result.moved_by;

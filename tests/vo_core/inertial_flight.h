@@ -70,6 +70,8 @@ class Flight {
   /// Vision as it is where the scene is some way off.
   static InertialModel quiet() {
     InertialModel m;
+    m.rotation_walk = 1e-3;
+    m.rotation_sigma = 3e-3;
     m.position_walk = 6e-4;
     m.position_sigma = 3e-3;
     m.scale_walk = 3e-4;
