@@ -154,7 +154,7 @@ int run(const Options& options) {
   GateReplay gate(camera);
   FinderReplay finder(camera);
 
-  app::Feeder feeder(source.value().get(), pool, false);
+  app::Feeder feeder(source.value().get(), pool, false, nullptr);
   std::array<rt::FrameReturn, 3> give = {pool->reader(app::kTrackerReader), pool->reader(app::kMapperReader),
                                          pool->reader(app::kDetectorReader)};
   cv::setNumThreads(1);

@@ -44,7 +44,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
   app::OdometryOptions odometry = app::odometry_options(camera.value()->calibration());
   odometry.mapper_delay_frames = app::Config{}.pipeline.mapper_delay_frames;
   const auto stage = app::make_odometry_stage(model.value(), odometry, pool.value().get());
-  app::Feeder feeder(camera.value().get(), pool.value().get(), false);
+  app::Feeder feeder(camera.value().get(), pool.value().get(), false, nullptr);
 
   cv::setNumThreads(1);
   std::vector<double> yardstick, tracking, mapping, both;

@@ -235,7 +235,7 @@ Mat6 InertialOdometry::grown_since_anchor(const VisualPose& pose) const {
   const Mat6 difference = pose.covariance - to_here * anchor_covariance_ * to_here.transpose();
   // The map may know both better by now than it said of the anchor then: no less than nothing.
   const Eigen::SelfAdjointEigenSolver<Mat6> eigen(0.5 * (difference + difference.transpose()));
-  const Mat6 axes = eigen.eigenvectors();
+  const Mat6& axes = eigen.eigenvectors();
   return axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose() + pose.own_covariance;
 }
 
