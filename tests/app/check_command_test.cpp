@@ -9,7 +9,7 @@
 #include "tests/support/run_command.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::app {
+namespace godwit::app::check_command_test {
 namespace {
 
 using testing::HasSubstr;
@@ -110,4 +110,4 @@ TEST(GodwitCheck, SaysOkAndShowsEveryKey) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::check_command_test

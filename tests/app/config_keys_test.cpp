@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-namespace godwit::app {
+namespace godwit::app::config_keys_test {
 namespace {
 
 /// What the key makes of `value`, written as TOML.
@@ -76,4 +76,4 @@ TEST(ConfigKeys, Lists) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::config_keys_test

@@ -6,7 +6,7 @@
 
 #include "firmware_app/config/config_schema.h"
 
-namespace godwit::app {
+namespace godwit::app::config_test {
 namespace {
 
 using testing::ElementsAre;
@@ -167,4 +167,4 @@ TEST(Config, WhatIsShownReadsBackToTheSame) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::config_test

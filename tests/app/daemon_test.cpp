@@ -21,7 +21,7 @@
 #include "tests/support/run_command.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::app {
+namespace godwit::app::daemon_test {
 namespace {
 
 using testing::HasSubstr;
@@ -307,4 +307,4 @@ TEST(Godwitd, RefusesToStartWithAllThatIsWrong) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::daemon_test

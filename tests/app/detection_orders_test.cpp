@@ -5,7 +5,7 @@
 #include <random>
 #include <vector>
 
-namespace godwit::app {
+namespace godwit::app::detection_orders_test {
 namespace {
 
 constexpr rt::TimeNs kFrame = 33'333'333;
@@ -106,4 +106,4 @@ TEST_F(DetectionOrdersTest, AKeyframeWhoseMaskWouldComeTooLateMakesWay) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::detection_orders_test

@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-namespace godwit::app {
+namespace godwit::app::link_settings_test {
 namespace {
 
 using link::Parameter;
@@ -93,4 +93,4 @@ TEST(LinkSettings, TheMountingIsToldInWords) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::link_settings_test

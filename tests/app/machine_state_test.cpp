@@ -5,7 +5,7 @@
 
 #include "tests/support/temp_folder.h"
 
-namespace godwit::hal {
+namespace godwit::hal::machine_state_test {
 namespace {
 
 using test::TempFolder;
@@ -72,4 +72,4 @@ TEST(MachineMonitor, AMachineWithoutSensorsIsUnknownNotHot) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::machine_state_test

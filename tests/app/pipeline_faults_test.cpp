@@ -12,7 +12,7 @@
 #include "firmware_app/pipeline/pipeline.h"
 #include "hal/rt/wake_up.h"
 
-namespace godwit::app {
+namespace godwit::app::pipeline_faults_test {
 namespace {
 
 constexpr int kWidth = 64, kHeight = 64;
@@ -262,4 +262,4 @@ TEST_F(PipelineFaults, WhoEndsRightlyIsNotMissed) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::pipeline_faults_test

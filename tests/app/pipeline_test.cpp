@@ -4,7 +4,7 @@
 
 #include "tests/app/fake_pipeline.h"
 
-namespace godwit::app {
+namespace godwit::app::pipeline_test {
 namespace {
 
 class BothModes : public testing::TestWithParam<bool> {};
@@ -146,4 +146,4 @@ TEST_P(BothModes, EachChangeOfStateIsToldOnceWithItsReason) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::pipeline_test

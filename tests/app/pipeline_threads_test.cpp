@@ -2,7 +2,7 @@
 // the thread sanitizer.
 #include "tests/app/fake_pipeline.h"
 
-namespace godwit::app {
+namespace godwit::app::pipeline_threads_test {
 namespace {
 
 /// Its first detection takes until the stage has seen a certain frame; some detections later it ends the run.
@@ -153,4 +153,4 @@ TEST(Pipeline, AKeyframeWhoseMaskWouldComeTooLateMakesWay) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::pipeline_threads_test

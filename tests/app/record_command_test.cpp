@@ -5,6 +5,7 @@
 #include "tests/support/run_command.h"
 #include "tests/support/temp_folder.h"
 
+namespace godwit::app::record_command_test {
 namespace {
 
 using godwit::test::Outcome;
@@ -43,3 +44,4 @@ TEST(Record, AnInertialSensorThatIsNotThereIsToldAndNoRecording) {
 }
 
 }  // namespace
+}  // namespace godwit::app::record_command_test

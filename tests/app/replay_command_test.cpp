@@ -9,6 +9,7 @@
 #include "tests/support/run_command.h"
 #include "tests/support/tiny_sequence.h"
 
+namespace godwit::app::replay_command_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -337,3 +338,4 @@ TEST_F(Replay, TheLinksFiguresAreInTheSummary) {
 }
 
 }  // namespace
+}  // namespace godwit::app::replay_command_test

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-namespace godwit::app {
+namespace godwit::app::silence_watch_test {
 namespace {
 
 constexpr rt::TimeNs kLimit = 200 * rt::kNsPerMs;
@@ -40,4 +40,4 @@ TEST(SilenceWatch, WhatWasNeverHeardIsMissedFromTheFirstLookOn) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::silence_watch_test

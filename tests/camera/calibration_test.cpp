@@ -7,7 +7,7 @@
 #include "hal/camera/calibration_toml.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::hal {
+namespace godwit::hal::calibration_test {
 namespace {
 
 using testing::HasSubstr;
@@ -262,4 +262,4 @@ TEST(CalibrationToml, MistakesAreNamed) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::calibration_test

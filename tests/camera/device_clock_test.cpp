@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 #include <random>
 
-namespace godwit::hal {
+namespace godwit::hal::device_clock_test {
 namespace {
 
 using Source = DeviceClock::Source;
@@ -206,4 +206,4 @@ TEST(DeviceClock, AStampThatGoesBackALittleIsRefusedAJumpIsFollowed) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::device_clock_test

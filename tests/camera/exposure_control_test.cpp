@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 #include <vector>
 
-namespace godwit::hal {
+namespace godwit::hal::exposure_control_test {
 namespace {
 
 /// A linear sensor with 8 bits: a scene of patches whose brightness spans a factor of 16, a control that comes through
@@ -116,4 +116,4 @@ TEST(ExposureControl, MeasuresMeanAndWhite) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::exposure_control_test

@@ -9,7 +9,7 @@
 #include "tests/camera/fake_libcamera.h"
 #include "tests/camera/no_cost.h"
 
-namespace godwit::hal {
+namespace godwit::hal::libcamera_camera_test {
 namespace {
 
 using test::FakeLibcamera;
@@ -338,4 +338,4 @@ TEST(LibcameraLibrary, LoadsOrSaysHowItWasBuilt) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::libcamera_camera_test

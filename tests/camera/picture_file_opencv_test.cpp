@@ -6,7 +6,7 @@
 #include "hal/camera/replay/picture_file.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::hal {
+namespace godwit::hal::picture_file_opencv_test {
 namespace {
 
 cv::Mat noise(int channels, int depth = CV_8U) {
@@ -77,4 +77,4 @@ TEST(PictureFile, WhatIsNeitherIsRefused) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::picture_file_opencv_test

@@ -8,7 +8,7 @@
 
 #include "hal/camera/pixels/yuv_rows.h"
 
-namespace godwit::hal {
+namespace godwit::hal::pixel_format_test {
 namespace {
 
 constexpr int kWidth = 38, kHeight = 22;
@@ -145,4 +145,4 @@ TEST(PixelFormat, NamesAndSizes) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::pixel_format_test

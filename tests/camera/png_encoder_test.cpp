@@ -4,7 +4,7 @@
 
 #include "hal/camera/replay/picture_codec.h"
 
-namespace godwit::hal {
+namespace godwit::hal::png_encoder_test {
 namespace {
 
 TEST(PngEncoder, WhatIsPackedIsReadAgainToTheBit) {
@@ -33,4 +33,4 @@ TEST(PngEncoder, APictureWithoutSizeIsAWord) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::png_encoder_test

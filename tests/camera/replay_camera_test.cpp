@@ -9,7 +9,7 @@
 #include "hal/rt/wake_up.h"
 #include "tests/support/tiny_sequence.h"
 
-namespace godwit::hal {
+namespace godwit::hal::replay_camera_test {
 namespace {
 
 using test::read_file;
@@ -372,4 +372,4 @@ TEST(PictureIsWhole, KnowsTheEndsOfJpegAndPng) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::replay_camera_test

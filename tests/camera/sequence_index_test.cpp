@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-namespace godwit::hal {
+namespace godwit::hal::sequence_index_test {
 namespace {
 
 using testing::HasSubstr;
@@ -85,4 +85,4 @@ TEST(EurocIndex, RefusesSecondsAndMissingNames) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::sequence_index_test

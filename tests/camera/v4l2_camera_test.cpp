@@ -3,7 +3,7 @@
 #include "tests/camera/no_cost.h"
 #include "tests/camera/v4l2_fixture.h"
 
-namespace godwit::hal {
+namespace godwit::hal::v4l2_camera_test {
 namespace {
 
 TEST_F(V4l2CameraTest, DeliversPicturesWithoutAllocationOrLock) {
@@ -139,4 +139,4 @@ TEST_F(V4l2CameraTest, WaitsNoLongerThanItMayWhenTheDeviceComesMeanwhile) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::v4l2_camera_test

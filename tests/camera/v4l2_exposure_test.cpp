@@ -4,7 +4,7 @@
 #include "hal/rt/rt_scope.h"
 #include "tests/camera/v4l2_fixture.h"
 
-namespace godwit::hal {
+namespace godwit::hal::v4l2_exposure_test {
 namespace {
 
 TEST_F(V4l2CameraTest, ControlsAreSetByNameAtEachStart) {
@@ -194,4 +194,4 @@ TEST_F(AutomaticExposureTest, ADeviceThatComesBackGoesOnWithTheExposureItHad) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::v4l2_exposure_test

@@ -5,7 +5,7 @@
 #include "tests/camera/no_cost.h"
 #include "tests/camera/v4l2_fixture.h"
 
-namespace godwit::hal {
+namespace godwit::hal::v4l2_mjpeg_test {
 namespace {
 
 TEST_F(V4l2CameraTest, MjpegIsDecodedAndWhatIsCutOffIsBad) {
@@ -75,4 +75,4 @@ TEST_F(V4l2CameraTest, FedByAThreadOfItsOwnMjpegCostsTheReaderNoHeapAndNoLock) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::v4l2_mjpeg_test

@@ -1,7 +1,7 @@
 // Of which moment a V4L2 picture is: the device's clock, whatever it says, and the middle of the exposure.
 #include "tests/camera/v4l2_fixture.h"
 
-namespace godwit::hal {
+namespace godwit::hal::v4l2_time_test {
 namespace {
 
 TEST_F(V4l2CameraTest, AClockThatIs29SecondsOffIsReadAndTold) {
@@ -68,4 +68,4 @@ TEST_F(V4l2CameraTest, AClockThatIsSetCostsOnePictureAndMovesNoOther) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::v4l2_time_test

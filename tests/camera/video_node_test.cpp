@@ -6,7 +6,7 @@
 #include "hal/camera/v4l2/video_system.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::hal {
+namespace godwit::hal::video_node_test {
 namespace {
 
 TEST(LinuxVideo, ANodeWithoutADeviceHasNoSerialNumber) {
@@ -49,4 +49,4 @@ TEST(VideoNode, DevicesAreChosenByPathNameOrSerialNumber) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::video_node_test

@@ -5,7 +5,7 @@
 #include "hal/can/can_bus.h"
 #include "hal/can/crc16.h"
 
-namespace godwit::hal {
+namespace godwit::hal::can_frame_test {
 namespace {
 
 TEST(CanFrame, FdLengthsAreThoseOfTheStandard) {
@@ -50,4 +50,4 @@ TEST(OpenCan, SaysWhatItExpected) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::can_frame_test

@@ -4,7 +4,7 @@
 #include <poll.h>
 #include <random>
 
-namespace godwit::hal {
+namespace godwit::hal::multicast_bus_test {
 namespace {
 
 CanFrame node_status() {
@@ -110,4 +110,4 @@ TEST_F(MulticastLoopback, FiltersHoldBack) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::multicast_bus_test

@@ -14,7 +14,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
-namespace godwit::hal {
+namespace godwit::hal::socketcan_bus_test {
 namespace {
 
 // The kernel's side of the socket, played by the test.
@@ -245,4 +245,4 @@ TEST(CanLink, AdviceNamesTheCommand) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::socketcan_bus_test

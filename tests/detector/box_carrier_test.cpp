@@ -4,7 +4,7 @@
 #include <limits>
 #include <vector>
 
-namespace godwit::detector {
+namespace godwit::detector::box_carrier_test {
 namespace {
 
 constexpr std::int64_t kFrame = 33'000'000;
@@ -191,4 +191,4 @@ TEST(BoxCarrier, BadInputIsLeftOut) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::box_carrier_test

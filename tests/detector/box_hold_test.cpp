@@ -5,7 +5,7 @@
 
 #include "detector/box_carrier.h"
 
-namespace godwit::detector {
+namespace godwit::detector::box_hold_test {
 namespace {
 
 constexpr int kPerson = 0, kCar = 2;
@@ -137,4 +137,4 @@ TEST(BoxHold, WhatIsHeldGoesOnWithItsMotion) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::box_hold_test

@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 #include <limits>
 
-namespace godwit::detector {
+namespace godwit::detector::box_mask_test {
 namespace {
 
 const std::vector<bool> kMovable = {true, false};
@@ -99,4 +99,4 @@ TEST(BoxMask, TenThousandBoxes) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::box_mask_test

@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-namespace godwit::detector {
+namespace godwit::detector::decode_test {
 namespace {
 
 ModelInfo model(Layout layout = Layout::kYolov5, int side = 416) {
@@ -178,4 +178,4 @@ TEST(Overlap, OfKnownBoxes) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::decode_test

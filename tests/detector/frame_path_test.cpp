@@ -8,7 +8,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
-namespace godwit::detector {
+namespace godwit::detector::frame_path_test {
 namespace {
 
 TEST(FramePath, CarriesAndMasksAndDecodesWithoutTheHeap) {
@@ -53,4 +53,4 @@ TEST(FramePath, CarriesAndMasksAndDecodesWithoutTheHeap) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::frame_path_test

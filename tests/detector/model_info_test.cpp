@@ -6,7 +6,7 @@
 
 #include "tests/support/temp_folder.h"
 
-namespace godwit::detector {
+namespace godwit::detector::model_info_test {
 namespace {
 
 const std::string kGood = R"(layout = "yolov5"
@@ -104,4 +104,4 @@ TEST(ModelInfo, MissingFileIsNamed) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::model_info_test

@@ -6,7 +6,7 @@
 
 #include "tests/support/temp_folder.h"
 
-namespace godwit::detector {
+namespace godwit::detector::sha256_test {
 namespace {
 
 std::string of(const std::string& text, std::size_t piece) {
@@ -42,4 +42,4 @@ TEST(Sha256, OfAFileAndNotOfAPipe) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::sha256_test

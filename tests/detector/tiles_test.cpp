@@ -7,7 +7,7 @@
 
 #include "detector/decode.h"
 
-namespace godwit::detector {
+namespace godwit::detector::tiles_test {
 namespace {
 
 TEST(Tiles, AWidePictureIsCoveredBySquaresThatShareAQuarter) {
@@ -102,4 +102,4 @@ TEST(Tiles, MoreThanAListHoldsLeavesTheSurest) {
 }
 
 }  // namespace
-}  // namespace godwit::detector
+}  // namespace godwit::detector::tiles_test

@@ -6,7 +6,7 @@
 
 #include "tests/faults/fault_run.h"
 
-namespace godwit::test {
+namespace godwit::test::bad_pictures_test {
 namespace {
 
 constexpr int kStart = 100;  ///< first picture of the sequence that is flown
@@ -236,4 +236,4 @@ TEST_F(BadPictures, AHandOverTheLensComesAndGoes) {
 }
 
 }  // namespace
-}  // namespace godwit::test
+}  // namespace godwit::test::bad_pictures_test

@@ -6,7 +6,7 @@
 
 #include "tests/faults/fault_run.h"
 
-namespace godwit::test {
+namespace godwit::test::fault_runs_test {
 namespace {
 
 constexpr int kBefore = 150, kAfter = 60;
@@ -191,4 +191,4 @@ TEST_F(FaultRuns, TheStartIsFoundAgainAfterTheEnd) {
 }
 
 }  // namespace
-}  // namespace godwit::test
+}  // namespace godwit::test::fault_runs_test

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 #include <random>
 
-namespace godwit::hal {
+namespace godwit::hal::allan_test {
 namespace {
 
 constexpr double kRateHz = 100;
@@ -70,4 +70,4 @@ TEST(Allan, RecordingsThatSayNothingAreRefused) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::allan_test

@@ -8,7 +8,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
-namespace godwit::hal {
+namespace godwit::hal::iio_imu_test {
 namespace {
 
 /// A driver: what it is, and the readings that wait in its buffer. Time goes when somebody waits.
@@ -260,4 +260,4 @@ TEST_F(IioImuTest, AccelerationOfASecondDeviceIsInterpolatedToTheRates) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::iio_imu_test

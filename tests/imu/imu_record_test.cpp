@@ -6,7 +6,7 @@
 
 #include "tests/support/temp_folder.h"
 
-namespace godwit::hal {
+namespace godwit::hal::imu_record_test {
 namespace {
 
 using testing::HasSubstr;
@@ -90,4 +90,4 @@ TEST(ImuRecord, ARealOneIsWhole) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::imu_record_test

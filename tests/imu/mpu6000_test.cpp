@@ -8,7 +8,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
-namespace godwit::hal {
+namespace godwit::hal::mpu6000_test {
 namespace {
 
 /// What the chip does must not count as an allocation of the thread that reads it.
@@ -328,4 +328,4 @@ TEST(AxisMap, OnlyTurnsAreMountings) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::mpu6000_test

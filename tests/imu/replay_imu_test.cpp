@@ -5,7 +5,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 
-namespace godwit::hal {
+namespace godwit::hal::replay_imu_test {
 namespace {
 
 /// `count` samples, one each 5 ms from 100 s on.
@@ -68,4 +68,4 @@ TEST(ReplayImu, NextDoesNotAllocate) {
 }
 
 }  // namespace
-}  // namespace godwit::hal
+}  // namespace godwit::hal::replay_imu_test

@@ -10,7 +10,7 @@
 #include "hal/rt/lock_hook.h"
 #include "tests/realtime/flown.h"
 
-namespace godwit::app {
+namespace godwit::app::armed_detector_test {
 namespace {
 
 /// Counts frames of which a part is masked. On the tracker's thread, under its rules.
@@ -97,4 +97,4 @@ TEST(ArmedDetector, TheNetworkBesideTheFlightTripsNoTrapOfCameraAndTracker) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::armed_detector_test

@@ -21,7 +21,7 @@
 #include "tests/realtime/flown.h"
 #include "tests/support/temp_folder.h"
 
-namespace godwit::app {
+namespace godwit::app::armed_test {
 namespace {
 
 using testing::HasSubstr;
@@ -304,4 +304,4 @@ TEST(Armed, ATrackerThatFaultsPagesIsCounted) {
 }
 
 }  // namespace
-}  // namespace godwit::app
+}  // namespace godwit::app::armed_test
