@@ -8,30 +8,11 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
+from flying_daemon import Daemon, fail  # noqa: E402
 
 GODWIT, GODWITD = sys.argv[1:3]
-PATIENCE_S = 90
-
-
-def fail(reason):
-    sys.exit('FAILED: ' + reason)
-
-
-class Daemon:
-    def __init__(self, config):
-        self.said = []
-        self.process = subprocess.Popen([GODWITD, '--config', config], stderr=subprocess.PIPE, text=True)
-        threading.Thread(target=lambda: self.said.extend(self.process.stderr), daemon=True).start()
-
-    def says(self, words):
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until and self.process.poll() is None:
-            if any(words in line for line in self.said):
-                return
-            time.sleep(0.05)
-        fail(f'"{words}" was not said: ' + ''.join(self.said))
 
 
 def top(*options):
@@ -47,7 +28,7 @@ def main():
         nobody = top('--config', config, '--once')
         if nobody.returncode != 1 or 'no godwitd serves it' not in nobody.stderr:
             fail(f'nobody there: {nobody}')
-        daemon = Daemon(config)
+        daemon = Daemon(GODWITD, config)
         daemon.says('-> TRACKING')
         shown = top('--config', config, '--once')
         if shown.returncode != 0 or shown.stdout.count('\n') < 12 or '\x1b' in shown.stdout:
@@ -71,13 +52,11 @@ def main():
             fail('whoever watches is not told of the end')
         if not (folder / 'live').exists():
             fail('the killed one took its socket along: this test proves nothing')
-        daemon = Daemon(config)
+        daemon = Daemon(GODWITD, config)
         daemon.says('-> TRACKING')
         if top('--config', config, '--once').returncode != 0:
             fail('what the killed one left is not replaced')
-        daemon.process.send_signal(signal.SIGTERM)
-        if daemon.process.wait(30) != 0:
-            fail(''.join(daemon.said))
+        daemon.end()
         if (folder / 'live').exists():
             fail('the socket outlives an orderly end')
     print('top: ok')

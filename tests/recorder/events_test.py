@@ -8,35 +8,12 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
+from flying_daemon import PATIENCE_S, Daemon, fail  # noqa: E402
+
 GODWIT, GODWITD = sys.argv[1:3]
-PATIENCE_S = 120
-
-
-def fail(reason):
-    sys.exit('FAILED: ' + reason)
-
-
-class Daemon:
-    def __init__(self, config):
-        self.said = []
-        self.process = subprocess.Popen([GODWITD, '--config', config], stderr=subprocess.PIPE, text=True)
-        threading.Thread(target=lambda: self.said.extend(self.process.stderr), daemon=True).start()
-
-    def says(self, words):
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until and self.process.poll() is None:
-            if any(words in line for line in self.said):
-                return
-            time.sleep(0.05)
-        fail(f'"{words}" was not said: ' + ''.join(self.said))
-
-    def end(self):
-        self.process.send_signal(signal.SIGTERM)
-        if self.process.wait(60) != 0:
-            fail(''.join(self.said))
 
 
 def replay(event, *options):
@@ -57,7 +34,7 @@ def config_of(folder, more=''):
 
 
 def asked_for(folder):
-    daemon = Daemon(config_of(folder))
+    daemon = Daemon(GODWITD, config_of(folder))
     daemon.says('-> TRACKING')
     time.sleep(3)
     daemon.process.send_signal(signal.SIGUSR1)
@@ -83,7 +60,7 @@ def asked_for(folder):
 def killed(folder):
     """In the middle of an event: nothing that looks whole and is not, and the next flight clears it away."""
     config = config_of(folder, 'budget_mb = 1000\n')
-    daemon = Daemon(config)
+    daemon = Daemon(GODWITD, config)
     daemon.says('-> TRACKING')
     time.sleep(1)
     daemon.process.send_signal(signal.SIGUSR1)
@@ -95,7 +72,7 @@ def killed(folder):
     for event in (folder / 'events').glob('*'):
         if event.suffix != '.part' and not (event / 'event.json').exists():
             fail(f'{event} has a name and is not whole')
-    daemon = Daemon(config)
+    daemon = Daemon(GODWITD, config)
     daemon.says('-> TRACKING')
     daemon.process.send_signal(signal.SIGUSR1)
     daemon.says('event: request')
