@@ -11,6 +11,7 @@
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/commands/sim_command.h"
 #include "firmware_app/commands/top_command.h"
+#include "firmware_app/commands/view_command.h"
 #include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
@@ -41,6 +42,8 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   add_sim_command(&app, &sim);
   TopArguments top;
   add_top_command(&app, &top);
+  ViewArguments view;
+  add_view_command(&app, &view);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -53,6 +56,7 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   if (app.got_subcommand("calibrate")) return run_calibrate(calibrate, stop);
   if (app.got_subcommand("sim")) return run_sim(sim, stop);
   if (app.got_subcommand("top")) return run_top(top, stop);
+  if (app.got_subcommand("view")) return run_view(view, stop);
   return run_replay(replay, stop);
 }
 

@@ -1,4 +1,5 @@
 """A godwitd started by a test, and what it says."""
+import atexit
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ class Daemon:
     def __init__(self, program, config):
         self.said = []
         self.process = subprocess.Popen([program, '--config', config], stderr=subprocess.PIPE, text=True)
+        atexit.register(self.process.kill)  # a test that fails leaves none behind
         threading.Thread(target=lambda: self.said.extend(self.process.stderr), daemon=True).start()
 
     def says(self, words):

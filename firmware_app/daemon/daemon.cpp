@@ -19,8 +19,10 @@
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_log.h"
 #include "firmware_app/output/line_log.h"
+#include "firmware_app/output/live_picture.h"
 #include "firmware_app/output/live_server.h"
 #include "firmware_app/output/live_status.h"
+#include "firmware_app/output/live_track.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
 #include "hal/machine/machine_state.h"
@@ -41,12 +43,22 @@ int give_up(const std::string& line) {
   return kExitFailed;
 }
 
+/// What whoever looks is shown (docs/live.md).
+struct Live {
+  LiveStatus status;
+  LiveTrack track;
+};
+
+bool may_be_looked_at(const Config& config) {
+  return config.live.enabled && !config.live.socket.empty();
+}
+
 /// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null,
 /// and for whoever looks.
 class Journal final : public FrameSink {
  public:
   Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log,
-          EventRecorder* recorder, LiveStatus* live)
+          EventRecorder* recorder, Live* live)
       : manager_(manager),
         locks_memory_(locks_memory),
         memory_refused_(std::move(memory_refused)),
@@ -67,14 +79,15 @@ class Journal final : public FrameSink {
     if (record.tracked) ++tracked_;
     if (log_ != nullptr) log_->frame(record);
     if (recorder_ != nullptr) recorder_->frame(record);
-    live_->frame(record);
+    live_->status.frame(record);
+    live_->track.frame(record);
     return {};
   }
   void event(const rt::LogEntry& e) override {
     clock_.heard(e.t_ns);
     if (log_ != nullptr) log_->event(e);
     const std::string line = event_line(e, clock_.first_ns());
-    live_->event(e, line);
+    live_->status.event(e, line);
     say(line);
   }
   std::uint64_t tracked() const { return tracked_; }
@@ -85,7 +98,7 @@ class Journal final : public FrameSink {
   const std::string memory_refused_;
   FlightLog* const log_;
   EventRecorder* const recorder_;
-  LiveStatus* const live_;
+  Live* const live_;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
@@ -153,11 +166,16 @@ std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
 }
 
 /// Null: nobody may look, or it cannot be had, which grounds nobody.
-std::unique_ptr<LiveServer> begin_live(const Config& config, LiveStatus* status) {
-  if (!config.live.enabled || config.live.socket.empty()) return nullptr;
+std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture) {
+  if (!may_be_looked_at(config)) return nullptr;
   LiveServerOptions options;
   options.socket = config.live.socket;
-  options.line = [status] { return status->snapshot(rt::monotonic_now_ns()); };
+  options.line = [live] { return live->status.snapshot(rt::monotonic_now_ns()); };
+  options.view = [live, picture](std::string* lines) {
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    picture->add_line(now_ns, lines);
+    live->track.add_line(now_ns, lines);
+  };
   auto server = LiveServer::start(std::move(options));
   if (!server) {
     say("warning: live: " + server.error().message);
@@ -190,6 +208,9 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   plan.inertial = config.imu.flown_by();
   const std::string events = events_folder(config);
   plan.onlooker = !events.empty();
+  std::unique_ptr<LivePicture> picture;
+  if (may_be_looked_at(config)) picture = std::make_unique<LivePicture>(calibration.width, calibration.height);
+  plan.view = picture.get();
   auto assembled = assemble(config, calibration, plan);
   if (!assembled) {
     say(assembled.error().message);
@@ -229,10 +250,11 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
     say("event recorder: " + recorder->description() + "; " + events);
   }
   const hal::MachineMonitor live_machine;  // one thread reads each
-  LiveStatus live({version_words(version()),
-                   autopilot != nullptr ? std::function<int()>([autopilot] { return autopilot->quality(); }) : nullptr,
-                   &live_machine});
-  const std::unique_ptr<LiveServer> server = begin_live(config, &live);
+  const auto quality = [autopilot] { return autopilot->quality(); };
+  Live live{LiveStatus({version_words(version()), autopilot != nullptr ? std::function<int()>(quality) : nullptr,
+                        &live_machine}),
+            {}};
+  const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get());
   Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);

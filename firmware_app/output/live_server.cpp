@@ -19,8 +19,10 @@ namespace {
 
 constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
 constexpr int kWaiting = 8;
-/// Larger than any line, so that a reader who is a moment late loses none.
+/// Larger than a line of the state, so that a reader who is a moment late loses none.
 constexpr int kBufferBytes = 64 * 1024;
+/// All that a reader may say at a time.
+constexpr std::size_t kLongestAsked = 64;
 
 rt::Error error_of(const std::string& socket, const char* doing) {
   return {socket + ": " + doing + ": " + std::strerror(errno)};
@@ -53,8 +55,13 @@ rt::Result<void> clear(const std::string& socket) {
 struct LiveServer::State {
   struct Reader {
     int fd = -1;
-    std::string unsent;         // the rest of a line that was begun
     rt::TimeNs t_taken_ns = 0;  // when it last took something
+    std::string lines;          // what is told to it
+    std::size_t sent = 0;       // of these
+    std::string asked;          // a word that has not ended
+    bool views = false;         // asked for pictures
+    bool silent = false;        // says nothing any more
+    bool behind() const { return sent < lines.size(); }
   };
 
   explicit State(LiveServerOptions o) : options(std::move(o)) {}
@@ -67,24 +74,56 @@ struct LiveServer::State {
   const LiveServerOptions options;
   int listening = -1, end_fd = -1;
   std::vector<Reader> readers;
+  std::vector<pollfd> waiting;
+  std::string line, views;  // of this turn; they keep their room
   rt::Thread thread;
 
   void run();
+  bool await(rt::TimeNs t_next_ns);
   void let_in();
   void tell(rt::TimeNs now_ns);
-  bool send_rest(Reader* reader, rt::TimeNs now_ns) const;
+  void attend(short happened, Reader* reader, rt::TimeNs now_ns) const;
+  static bool hear(Reader* reader);
+  static bool send_rest(Reader* reader, rt::TimeNs now_ns);
+  static void let_go(Reader* reader) {
+    ::close(reader->fd);
+    reader->fd = -1;
+  }
 };
 
-/// False: it has gone.
-bool LiveServer::State::send_rest(Reader* reader, rt::TimeNs now_ns) const {
-  while (!reader->unsent.empty()) {
-    const ssize_t n = ::send(reader->fd, reader->unsent.data(), reader->unsent.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+/// False: it has gone, or takes nothing.
+bool LiveServer::State::send_rest(Reader* reader, rt::TimeNs now_ns) {
+  while (reader->behind()) {
+    const ssize_t n = ::send(reader->fd, reader->lines.data() + reader->sent, reader->lines.size() - reader->sent,
+                             MSG_DONTWAIT | MSG_NOSIGNAL);
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) return n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) && now_ns - reader->t_taken_ns < kPatienceNs;
-    reader->unsent.erase(0, static_cast<std::size_t>(n));
+    reader->sent += static_cast<std::size_t>(n);
     reader->t_taken_ns = now_ns;
   }
   return true;
+}
+
+/// False: it has gone.
+bool LiveServer::State::hear(Reader* reader) {
+  std::array<char, kLongestAsked> said;
+  const ssize_t n = ::recv(reader->fd, said.data(), said.size(), MSG_DONTWAIT);
+  if (n < 0) return errno == EINTR || errno == EAGAIN || errno == EWOULDBLOCK;
+  if (n == 0) reader->silent = true;  // and may read on
+  reader->asked.append(said.data(), static_cast<std::size_t>(n));
+  if (reader->asked.find(kAskView) != std::string::npos) reader->views = true;
+  const std::size_t end = reader->asked.rfind('\n');
+  reader->asked.erase(0, end == std::string::npos ? 0 : end + 1);
+  if (reader->asked.size() > kLongestAsked) reader->asked.clear();
+  return true;
+}
+
+void LiveServer::State::attend(short happened, Reader* reader, rt::TimeNs now_ns) const {
+  const bool gone = (happened & (POLLHUP | POLLERR)) != 0;
+  if (gone || ((happened & POLLIN) != 0 && !hear(reader)) ||
+      ((happened & POLLOUT) != 0 && !send_rest(reader, now_ns))) {
+    let_go(reader);
+  }
 }
 
 void LiveServer::State::let_in() {
@@ -97,37 +136,57 @@ void LiveServer::State::let_in() {
     return;
   }
   ::setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &kBufferBytes, sizeof kBufferBytes);
-  readers.push_back({fd, "", rt::monotonic_now_ns()});
+  Reader& reader = readers.emplace_back();
+  reader.fd = fd;
+  reader.t_taken_ns = rt::monotonic_now_ns();
 }
 
 void LiveServer::State::tell(rt::TimeNs now_ns) {
-  const std::string line = options.line() + "\n";
+  line = options.line();
+  line += '\n';
+  views.clear();
+  // Who is still at the last pictures misses these: they are not even put together for him alone.
+  const auto sees = [](const Reader& r) { return r.views && !r.behind(); };
+  if (options.view && std::any_of(readers.begin(), readers.end(), sees)) options.view(&views);
   for (Reader& reader : readers) {
-    // Who has not taken the last one misses this one.
-    const bool behind = !reader.unsent.empty();
-    if (!behind) reader.unsent = line;
-    if (send_rest(&reader, now_ns)) continue;
-    ::close(reader.fd);
-    reader.fd = -1;
+    if (!reader.behind()) {
+      reader.lines.assign(line);
+      if (reader.views) reader.lines.append(views);
+      reader.sent = 0;
+    }
+    if (!send_rest(&reader, now_ns)) let_go(&reader);
   }
-  std::erase_if(readers, [](const Reader& r) { return r.fd < 0; });
+}
+
+/// False: there is no waiting any more.
+bool LiveServer::State::await(rt::TimeNs t_next_ns) {
+  waiting.assign({{listening, POLLIN, 0}, {end_fd, POLLIN, 0}});
+  for (const Reader& reader : readers) {
+    const int events = (reader.silent ? 0 : POLLIN) | (reader.behind() ? POLLOUT : 0);
+    waiting.push_back({reader.fd, static_cast<short>(events), 0});
+  }
+  int timeout_ms = -1;
+  if (!readers.empty()) {
+    timeout_ms = static_cast<int>(std::max<rt::TimeNs>(0, t_next_ns - rt::monotonic_now_ns()) / rt::kNsPerMs) + 1;
+  }
+  if (::poll(waiting.data(), waiting.size(), timeout_ms) >= 0) return true;
+  for (pollfd& one : waiting) one.revents = 0;
+  return errno == EINTR;
 }
 
 void LiveServer::State::run() {
   rt::TimeNs t_next_ns = 0;
   while (true) {
-    std::array<pollfd, 2> waiting{{{listening, POLLIN, 0}, {end_fd, POLLIN, 0}}};
-    int timeout_ms = -1;
-    if (!readers.empty()) {
-      timeout_ms = static_cast<int>(std::max<rt::TimeNs>(0, t_next_ns - rt::monotonic_now_ns()) / rt::kNsPerMs) + 1;
-    }
-    if (::poll(waiting.data(), waiting.size(), timeout_ms) < 0 && errno != EINTR) return;
-    if (waiting[1].revents != 0) return;
+    if (!await(t_next_ns) || waiting[1].revents != 0) return;
+    rt::TimeNs now_ns = rt::monotonic_now_ns();
+    for (std::size_t i = 0; i < readers.size(); ++i) attend(waiting[i + 2].revents, &readers[i], now_ns);
+    std::erase_if(readers, [](const Reader& r) { return r.fd < 0; });
     const bool came = waiting[0].revents != 0;
     if (came) let_in();
-    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    now_ns = rt::monotonic_now_ns();
     if (readers.empty() || (!came && now_ns < t_next_ns)) continue;
     tell(now_ns);
+    std::erase_if(readers, [](const Reader& r) { return r.fd < 0; });
     t_next_ns = now_ns + options.interval_ns;
   }
 }

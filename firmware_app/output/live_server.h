@@ -1,4 +1,5 @@
-// The local socket on which godwitd tells what it does: a line of JSON (output/live_status.h) a few times a second.
+// The local socket on which godwitd tells what it does: a line of JSON (output/live_status.h) a few times a second, and
+// who asks for it with "view" gets lines of pictures and of the track as well.
 #pragma once
 
 #include <cstddef>
@@ -14,16 +15,22 @@ namespace godwit::app {
 /// Where the service has its socket (RuntimeDirectory= in systemd/godwitd.service.in).
 constexpr const char* kServiceSocket = "/run/godwit/live";
 
+/// What a reader sends who wants to see pictures and track, too.
+constexpr const char* kAskView = "view\n";
+
 struct LiveServerOptions {
   std::string socket;                 ///< its folder must be there
   std::function<std::string()> line;  ///< the server's thread calls it only while somebody reads
+  /// May be empty. Appends further lines, whole ones with their ends, for those who asked for them; the server's thread
+  /// calls it only while one of them reads.
+  std::function<void(std::string*)> view;
   rt::TimeNs interval_ns = rt::kNsPerSecond / 5;
   std::size_t readers = 8;  ///< a further one is told so and let go
 };
 
 /// A thread of its own serves; it sleeps while nobody reads, and waits for no reader: who is not quick enough misses
 /// lines, and who takes none for five seconds is let go. Readers are those who may write to the socket: its owner and
-/// his group. What they send is not read.
+/// his group. All that they can say is kAskView.
 class LiveServer {
  public:
   /// A socket that nobody serves any more is replaced. Error: another program serves it, what lies there is no socket,

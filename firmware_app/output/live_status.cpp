@@ -62,6 +62,7 @@ void LiveStatus::event(const rt::LogEntry& e, const std::string& line) noexcept 
     const std::lock_guard<std::mutex> lock(mutex_);
     if (std::string_view(e.what).starts_with("rung")) rung_ = e.which;
     lines_.push_back(line);
+    ++line_count_;
     if (lines_.size() > kLines) lines_.pop_front();
   } catch (const std::exception&) {
   }
@@ -117,6 +118,7 @@ std::string LiveStatus::snapshot(rt::TimeNs now_ns) {
   j["rung"] = rung_;
   j["temperature_c"] = number(machine_.temperature_c, 0.1);
   j["throttled"] = machine_.throttled;
+  j["events_told"] = line_count_;
   j["events"] = lines_;
   return j.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

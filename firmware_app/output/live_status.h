@@ -55,7 +55,8 @@ class LiveStatus {
   MappingRecord mapping_;  ///< the last that told something
   const char* rung_ = "full";
   std::deque<std::string> lines_;
-  rt::TimeNs t_machine_ns_ = 0;  ///< the snapshot's alone, as the next
+  std::uint64_t line_count_ = 0;  ///< since the start
+  rt::TimeNs t_machine_ns_ = 0;   ///< the snapshot's alone, as the next
   hal::MachineState machine_;
 };
 

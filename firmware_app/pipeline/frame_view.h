@@ -1,4 +1,4 @@
-// A look at what the tracker saw of a frame: for pictures of a replay, never for flight.
+// A look at what the tracker saw of a frame.
 #pragma once
 
 #include <span>
@@ -9,7 +9,8 @@
 
 namespace godwit::app {
 
-/// Called by the tracker's thread at the end of each frame, and may take its time: only where nobody waits for poses.
+/// Called by the tracker's thread at the end of each frame. In flight under its rules: no allocation, no lock, no wait.
+/// Only where nobody waits for poses (`--view`) may it take its time.
 class FrameView {
  public:
   virtual ~FrameView() = default;

@@ -79,6 +79,47 @@ TEST(LiveServer, AReaderThatDoesNotReadHoldsNobodyUp) {
   close(quick.value());
 }
 
+TEST(LiveServer, OnlyWhoAsksForItSeesTheView) {
+  const test::TempFolder folder;
+  std::atomic<int> viewed{0};
+  LiveServerOptions o = options(folder / "live");
+  o.view = [&viewed](std::string* out) {
+    ++viewed;
+    *out += std::string(400'000, 'p') + "\n";
+  };
+  auto server = LiveServer::start(o);
+  ASSERT_TRUE(server.ok()) << server.error().message;
+  const auto plain = connect_live(folder / "live"), quick = connect_live(folder / "live");
+  for (int i = 0; i < 5; ++i) ASSERT_EQ(line_of(plain.value()), std::string(20, 'x'));
+  EXPECT_EQ(viewed, 0) << "nobody asked for it";
+  // In two pieces, with another word before.
+  ASSERT_EQ(send(quick.value(), "what?\nvi", 8, 0), 8);
+  ASSERT_EQ(send(quick.value(), "ew\n", 3, 0), 3);
+  int whole = 0;
+  for (int i = 0; i < 100 && whole < 3; ++i) whole += line_of(quick.value()).size() == 400'000 ? 1 : 0;
+  EXPECT_EQ(whole, 3) << "larger than the socket's buffer, and whole";
+  // One who asks and does not read holds nobody up.
+  const auto lazy = connect_live(folder / "live");
+  ASSERT_EQ(send(lazy.value(), kAskView, 5, 0), 5);
+  for (int i = 0; i < 20; ++i) ASSERT_EQ(line_of(plain.value()), std::string(20, 'x'));
+  close(quick.value());
+  close(lazy.value());
+  EXPECT_EQ(line_of(plain.value()), std::string(20, 'x'));
+  close(plain.value());
+}
+
+TEST(LiveServer, WhoSaysNothingMoreMayReadOn) {
+  const test::TempFolder folder;
+  auto server = LiveServer::start(options(folder / "live"));
+  ASSERT_TRUE(server.ok()) << server.error().message;
+  const auto reader = connect_live(folder / "live");
+  const std::string noise(100'000, 'n');
+  ASSERT_GT(send(reader.value(), noise.data(), noise.size(), MSG_DONTWAIT), 0);
+  shutdown(reader.value(), SHUT_WR);
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(line_of(reader.value()), std::string(20, 'x'));
+  close(reader.value());
+}
+
 TEST(LiveServer, SoManyReadersAndNoMore) {
   const test::TempFolder folder;
   LiveServerOptions o = options(folder / "live");

@@ -80,6 +80,7 @@ TEST(LiveStatus, TheLastEventsAndTheRung) {
   ASSERT_EQ(j["events"].size(), 12u);
   EXPECT_EQ(j["events"][0], "line 29");
   EXPECT_EQ(j["rung"], "small_detector");
+  EXPECT_EQ(j["events_told"], 41) << "so many there were, of which these are the last";
 }
 
 TEST(LiveStatus, WhatIsNoNumberIsNull) {

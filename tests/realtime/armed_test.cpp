@@ -1,5 +1,5 @@
-// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks, the event recorder beside them;
-// page faults and memory watched.
+// Armed: camera, IMU, tracker, mapper and link threads under traps for heap and locks, the event recorder and somebody
+// who looks on beside them; page faults and memory watched.
 // One minute; or, as root, with the figures of README.md,
 //   GODWIT_ARMED_FRAMES=10000 [GODWIT_ARMED_LOAD=1] build/release/tests/realtime/armed_test --gtest_filter='Armed.No*'
 // LOAD: a program that computes without end on the last processor. 18000 frames are ten minutes.
@@ -15,6 +15,7 @@
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/output/event_recorder.h"
+#include "firmware_app/output/live_picture.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/lock_hook.h"
 #include "hal/rt/rt_scope.h"
@@ -54,6 +55,32 @@ class Load {
   std::thread thread_;
 };
 
+/// Somebody who looks at the flight: asks for a picture five times a second, as godwitd's socket does.
+class Looker {
+ public:
+  explicit Looker(LivePicture* picture) : picture_(picture) {
+    line_.assign(1'000'000, ' ');  // before the flight's memory is measured
+    thread_ = std::thread([this] {
+      while (!stop_.load(std::memory_order_relaxed)) {
+        line_.clear();
+        if (picture_->add_line(rt::monotonic_now_ns(), &line_)) seen.fetch_add(1, std::memory_order_relaxed);
+        rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerSecond / 5);
+      }
+    });
+  }
+  ~Looker() {
+    stop_.store(true);
+    thread_.join();
+  }
+  std::atomic<int> seen{0};
+
+ private:
+  LivePicture* const picture_;
+  std::string line_;
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
 double percentile(std::vector<double> values, double p) {
   if (values.empty()) return 0;
   std::sort(values.begin(), values.end());
@@ -84,7 +111,8 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   camera_options.total = frames;
   const auto camera = test::camera_of(camera_options);
   test::RestingImu imu;
-  test::Odometry odometry(false, false, true);
+  LivePicture picture(test::world().calibration.width, test::world().calibration.height);
+  test::Odometry odometry(false, false, true, &picture);
   // As the daemon flies it: copying all the time, and writing once.
   const test::TempFolder events;
   EventRecorderOptions recorder_options;
@@ -110,6 +138,7 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
   options.onlooker = recorder.value()->onlooker();
   plan_pipeline(config, fps, &options);
   const Load load(loaded);
+  const Looker looker(&picture);
 
   // The link as the daemon flies it: gw-link under the same rules, its keeper as any thread.
   rt::Heartbeats heartbeats;
@@ -151,6 +180,7 @@ TEST(Armed, NoHeapNoLockNoPageFaultOnCameraTrackerAndLink) {
     tracker.push_back(rt::to_ms(r.wall_ns));
   }
   EXPECT_GT(c.imu->samples, static_cast<std::uint64_t>(frames));
+  EXPECT_GT(looker.seen, frames / fps) << "somebody looked on all the time";
   EXPECT_GT(tracked, frames / 2) << "what is not flown proves nothing";
   EXPECT_GT(told.odometry_sent, static_cast<std::uint64_t>(frames) / 2) << "they went out to the bus";
   EXPECT_GT(told.bus.sent, told.odometry_sent);

@@ -93,7 +93,8 @@ class RestingImu final : public hal::Imu {
 
 /// Pool and stage for the street's camera.
 struct Odometry {
-  explicit Odometry(bool with_detector = false, bool inertial = false, bool onlooker = false) {
+  explicit Odometry(bool with_detector = false, bool inertial = false, bool onlooker = false,
+                    app::FrameView* view = nullptr) {
     rt::FramePool::Layout layout;
     layout.width = world().calibration.width;
     layout.height = world().calibration.height;
@@ -106,7 +107,7 @@ struct Odometry {
     auto model = app::make_camera_model(world().calibration);
     app::OdometryOptions options = app::odometry_options(world().calibration);
     if (inertial) options.inertial_T_body_cam = world().calibration.T_body_cam;
-    stage = app::make_odometry_stage(model.value(), options, pool.get());
+    stage = app::make_odometry_stage(model.value(), options, pool.get(), nullptr, view);
   }
   std::unique_ptr<rt::FramePool> pool;
   std::unique_ptr<app::FrameStage> stage;
