@@ -44,6 +44,7 @@ std::vector<std::string> command_of(const Options& o, const std::string& side, c
     add("--transfer-ms", fmt::format("{}", o.delays.transfer_ms));
   }
   if (!o.can.empty()) add("--can", o.can);
+  if (o.watched) words.emplace_back("--watched");
   add("--json", json_file);
   words.emplace_back("--quiet");
   return words;

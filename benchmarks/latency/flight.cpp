@@ -9,9 +9,12 @@
 #include "benchmarks/latency/thread_watch.h"
 #include "benchmarks/latency/watched_parts.h"
 #include "firmware_app/autopilot/link_runner.h"
+#include "firmware_app/config/version.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/devices.h"
+#include "firmware_app/flight/live_plan.h"
 #include "firmware_app/flight/pipeline_plan.h"
+#include "firmware_app/flight/recorder_plan.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/statistics.h"
@@ -38,12 +41,54 @@ double line_of_status_mb(const char* key) {
   return kb * 1024 / 1e6;
 }
 
+void say(const std::string& words) {
+  fmt::print(stderr, "godwit-latency: {}\n", words);
+}
+
+/// What the daemon keeps and shows of a flight beside the poses, as the configuration wants it.
+class Watchers {
+ public:
+  /// Before memory is locked. picture: as the odometry shows it; it and the pool outlive this.
+  rt::Result<void> start(const app::Config& config, const hal::CameraCalibration& calibration, rt::FramePool* pool,
+                         app::LivePicture* picture, app::PipelineOptions* options) {
+    wanted_ = true;
+    log_ = app::begin_flight_log(config, say);
+    if (const std::string events = app::events_folder(config); !events.empty()) {
+      auto started = app::start_recorder(config, events, calibration, pool, true, say);
+      if (!started) return started.error();
+      recorder_ = std::move(started).value();
+      options->onlooker = recorder_->onlooker();
+    }
+    server_ = app::begin_live(config, &live_, picture, say);
+    return {};
+  }
+  void frame(const app::FrameRecord& record) {
+    if (!wanted_) return;
+    if (log_ != nullptr) log_->frame(record);
+    if (recorder_ != nullptr) recorder_->frame(record);
+    live_.status.frame(record);
+    live_.track.frame(record);
+  }
+
+ private:
+  bool wanted_ = false;
+  std::unique_ptr<app::FlightLog> log_;
+  std::unique_ptr<app::EventRecorder> recorder_;
+  app::Live live_{app::LiveStatus({app::version_words(app::version()), {}, nullptr}), {}};
+  std::unique_ptr<app::LiveServer> server_;
+};
+
 /// Collects what the flight brings; the thread that runs the pipeline. delivery_ns: what a simulated camera takes to
 /// deliver; negative: a live one, whose delivery is measured.
 class Collector final : public app::FrameSink {
  public:
-  Collector(FlightFigures* figures, rt::TimeNs delivery_ns, double deadline_ms, link::DepartureRing* departures)
-      : figures_(figures), delivery_ns_(delivery_ns), deadline_ms_(deadline_ms), departures_(departures) {}
+  Collector(FlightFigures* figures, rt::TimeNs delivery_ns, double deadline_ms, link::DepartureRing* departures,
+            Watchers* watchers)
+      : figures_(figures),
+        delivery_ns_(delivery_ns),
+        deadline_ms_(deadline_ms),
+        departures_(departures),
+        watchers_(watchers) {}
 
   void event(const rt::LogEntry& e) override {
     if (delivery_ns_ < 0) fmt::print(stderr, "godwit-latency: {}\n", app::event_line(e, e.t_ns));
@@ -61,6 +106,7 @@ class Collector final : public app::FrameSink {
       figures_->locked_mb = line_of_status_mb("VmLck:");
     }
     drain();
+    watchers_->frame(r);
     if (t_first_ns_ == 0) t_first_ns_ = r.t_capture_ns;
     ++figures_->due;
     if (r.fate == app::FrameFate::kBadPicture) ++figures_->bad;
@@ -121,6 +167,7 @@ class Collector final : public app::FrameSink {
   const rt::TimeNs delivery_ns_;
   const double deadline_ms_;
   link::DepartureRing* departures_;
+  Watchers* const watchers_;
   ThreadWatch threads_;
   rt::TimeNs t_next_look_ns_ = 0, t_first_ns_ = 0;
   std::vector<double> delivery_, age_, own_, bus_, own_bus_, cpu_;
@@ -204,7 +251,14 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
     figures.pictures_mb = 1e-6 * pictures.camera->pictures() * pictures.camera->width() * pictures.camera->height();
   }
   if (!o.can.empty()) config.can.bus = o.can;
-  auto assembled = app::assemble(config, pictures.calibration, {});
+  std::unique_ptr<app::LivePicture> picture;
+  app::AssemblyPlan plan;
+  if (o.watched) {
+    picture = app::live_picture(config, pictures.calibration.width, pictures.calibration.height);
+    plan.view = picture.get();
+    plan.onlooker = !app::events_folder(config).empty();
+  }
+  auto assembled = app::assemble(config, pictures.calibration, plan);
   if (!assembled) return assembled.error();
   const app::Assembly& parts = assembled.value();
 
@@ -239,8 +293,13 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
   app::LinkRunner* const autopilot = link.value().get();
   WatchedTap tap(autopilot, &tracker_heap);
   pipeline.tap = &tap;
+  Watchers watchers;
+  if (o.watched) {
+    const auto started = watchers.start(config, pictures.calibration, parts.pool.get(), picture.get(), &pipeline);
+    if (!started) return started.error();
+  }
   figures.refused = app::arm_memory(config);
-  Collector collector(&figures, live ? -1 : looped.delivery_ns, figures.deadline_ms, &departures);
+  Collector collector(&figures, live ? -1 : looped.delivery_ns, figures.deadline_ms, &departures, &watchers);
   const auto run = app::run_pipeline(&camera, parts.stage.get(), parts.pool.get(), pipeline, &collector, stop);
   if (!run) return run.error();
   if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};

@@ -49,6 +49,8 @@ int parse_options(int argc, char** argv, Options* o) {
   delay("--transfer-ms", &o->delays.transfer_ms, "From the last row to the picture in memory [ms]");
   app.add_option("--can", o->can, "Bus to send the poses on: multicast:N or socketcan:IFACE (default: none)")
       ->type_name("BUS");
+  app.add_flag("--watched", o->watched,
+               "Also keep and show the flight as godwitd does: flight_log, recorder and live of the configuration");
   app.add_option("--json", o->json_file, "Writes all figures (schema: docs/figures.schema.json)")->type_name("FILE");
   app.add_option("--plot", o->plot_file, "Draws histogram and timeline of the ages")->type_name("FILE.png");
   app.add_option(

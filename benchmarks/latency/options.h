@@ -19,6 +19,7 @@ struct Options {
   std::uint64_t seed = 1;
   CameraDelays delays;
   std::string can;
+  bool watched = false;  ///< flight log, event recorder and live socket as the configuration has them
   std::string json_file;
   std::string plot_file;
   std::vector<std::string> compare;  ///< two configurations or programs

@@ -14,15 +14,11 @@
 #include "firmware_app/daemon/daemon_imu.h"
 #include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/live_plan.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/flight/recorder_plan.h"
 #include "firmware_app/output/event_line.h"
-#include "firmware_app/output/flight_log.h"
 #include "firmware_app/output/line_log.h"
-#include "firmware_app/output/live_picture.h"
-#include "firmware_app/output/live_server.h"
-#include "firmware_app/output/live_status.h"
-#include "firmware_app/output/live_track.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/program.h"
 #include "hal/machine/machine_state.h"
@@ -41,16 +37,6 @@ constexpr rt::TimeNs kEventPatienceNs = 2 * rt::kNsPerSecond;
 int give_up(const std::string& line) {
   say(line);
   return kExitFailed;
-}
-
-/// What whoever looks is shown (docs/live.md).
-struct Live {
-  LiveStatus status;
-  LiveTrack track;
-};
-
-bool may_be_looked_at(const Config& config) {
-  return config.live.enabled && !config.live.socket.empty();
 }
 
 /// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null,
@@ -148,43 +134,6 @@ class WithoutCamera {
   rt::TimeNs t_begin_ns_ = 0;
 };
 
-/// Null: none is wanted, or nowhere to write it.
-std::unique_ptr<FlightLog> begin_flight_log(const Config& config) {
-  const bool own_folder = !config.flight_log.folder.empty();
-  if (!config.flight_log.enabled || (!own_folder && config.link.state_folder.empty())) return nullptr;
-  FlightLogOptions options;
-  options.folder = own_folder ? config.flight_log.folder : config.link.state_folder + "/flights";
-  options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
-  options.file_bytes = std::min(options.file_bytes, options.budget_bytes / 8);
-  std::string text;
-  for (const std::string& line : show_config(config)) text += line + "\n";
-  options.info.emplace_back("version", version_words(version()));
-  options.info.emplace_back("ver_sw", commit_words(version()));
-  options.info.emplace_back("configuration", std::move(text));
-  say("flight log: " + options.folder);
-  return std::make_unique<FlightLog>(std::move(options));
-}
-
-/// Null: nobody may look, or it cannot be had, which grounds nobody.
-std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture) {
-  if (!may_be_looked_at(config)) return nullptr;
-  LiveServerOptions options;
-  options.socket = config.live.socket;
-  options.line = [live] { return live->status.snapshot(rt::monotonic_now_ns()); };
-  options.view = [live, picture](std::string* lines) {
-    const rt::TimeNs now_ns = rt::monotonic_now_ns();
-    picture->add_line(now_ns, lines);
-    live->track.add_line(now_ns, lines);
-  };
-  auto server = LiveServer::start(std::move(options));
-  if (!server) {
-    say("warning: live: " + server.error().message);
-    return nullptr;
-  }
-  say("live: " + config.live.socket);
-  return std::move(server).value();
-}
-
 void tell(const FlightLogReport& r) {
   say(fmt::format("flight log: {} kB in {} files, {} messages dropped{}", r.written_bytes / 1000, r.files, r.dropped,
                   r.trouble.empty() ? "" : "; " + r.trouble));
@@ -208,8 +157,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   plan.inertial = config.imu.flown_by();
   const std::string events = events_folder(config);
   plan.onlooker = !events.empty();
-  std::unique_ptr<LivePicture> picture;
-  if (may_be_looked_at(config)) picture = std::make_unique<LivePicture>(calibration.width, calibration.height);
+  const std::unique_ptr<LivePicture> picture = live_picture(config, calibration.width, calibration.height);
   plan.view = picture.get();
   auto assembled = assemble(config, calibration, plan);
   if (!assembled) {
@@ -240,7 +188,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   // The link's own flag is raised by its thread, which may hang.
   options.also_stop = &stop;
   // Before memory is locked: its thread and its buffers belong to what is there.
-  const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config);
+  const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config, say);
   std::unique_ptr<EventRecorder> recorder;
   if (!events.empty()) {
     auto started = start_recorder(config, events, calibration, parts.pool.get(), true, say);
@@ -254,7 +202,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   Live live{LiveStatus({version_words(version()), autopilot != nullptr ? std::function<int()>(quality) : nullptr,
                         &live_machine}),
             {}};
-  const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get());
+  const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get(), say);
   Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);

@@ -154,6 +154,19 @@ class Latency(unittest.TestCase):
             self.assertIn(name + ': cannot be created: No such file or directory', done.stderr)
             self.assertEqual(done.stdout, '')
 
+    def test_a_flight_that_is_kept_and_shown_as_the_daemon_does(self):
+        config, folder = self.out / 'watched.toml', self.out / 'watched'
+        folder.mkdir()
+        config.write_text(f'[flight_log]\nfolder = "{folder}/log"\n[recorder]\nfolder = "{folder}/events"\n'
+                          f'[live]\nsocket = "{folder}/live"\n')
+        for words, log in (([], False), (['--watched'], True)):
+            done = run(LATENCY, *SHORT, '--detector', 'off', '--config', config, *words, '--json', self.out / 'watched.json')
+            self.assertIn(done.returncode, (0, 1), done.stderr)  # so short a flight may find no pose
+            self.assertEqual((folder / 'log' / '000001.ulg').exists(), log)
+            self.assertEqual('live: ' in done.stderr, log)
+            names = {t['name'] for t in json.loads((self.out / 'watched.json').read_text())['flights'][0]['threads']}
+            self.assertEqual({'gw-live', 'gw-flightlog', 'gw-events'} <= names, log, names)
+
     def test_nothing_to_fly_is_told(self):
         done = run(LATENCY, '--seconds', 1)
         self.assertEqual(done.returncode, 2)

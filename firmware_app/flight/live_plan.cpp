@@ -1,0 +1,55 @@
+#include "firmware_app/flight/live_plan.h"
+
+#include <algorithm>
+
+#include "firmware_app/config/version.h"
+
+namespace godwit::app {
+namespace {
+
+bool may_be_looked_at(const Config& config) {
+  return config.live.enabled && !config.live.socket.empty();
+}
+
+}  // namespace
+
+std::unique_ptr<FlightLog> begin_flight_log(const Config& config, const Say& say) {
+  const bool own_folder = !config.flight_log.folder.empty();
+  if (!config.flight_log.enabled || (!own_folder && config.link.state_folder.empty())) return nullptr;
+  FlightLogOptions options;
+  options.folder = own_folder ? config.flight_log.folder : config.link.state_folder + "/flights";
+  options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
+  options.file_bytes = std::min(options.file_bytes, options.budget_bytes / 8);
+  std::string text;
+  for (const std::string& line : show_config(config)) text += line + "\n";
+  options.info.emplace_back("version", version_words(version()));
+  options.info.emplace_back("ver_sw", commit_words(version()));
+  options.info.emplace_back("configuration", std::move(text));
+  say("flight log: " + options.folder);
+  return std::make_unique<FlightLog>(std::move(options));
+}
+
+std::unique_ptr<LivePicture> live_picture(const Config& config, int width, int height) {
+  return may_be_looked_at(config) ? std::make_unique<LivePicture>(width, height) : nullptr;
+}
+
+std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture, const Say& say) {
+  if (!may_be_looked_at(config)) return nullptr;
+  LiveServerOptions options;
+  options.socket = config.live.socket;
+  options.line = [live] { return live->status.snapshot(rt::monotonic_now_ns()); };
+  options.view = [live, picture](std::string* lines) {
+    const rt::TimeNs now_ns = rt::monotonic_now_ns();
+    picture->add_line(now_ns, lines);
+    live->track.add_line(now_ns, lines);
+  };
+  auto server = LiveServer::start(std::move(options));
+  if (!server) {
+    say("warning: live: " + server.error().message);
+    return nullptr;
+  }
+  say("live: " + config.live.socket);
+  return std::move(server).value();
+}
+
+}  // namespace godwit::app
