@@ -45,17 +45,24 @@ State Health::step(const FrameEvidence& e) {
 }
 
 void Health::without_pose(const FrameEvidence& e, const Reason& why) {
-  if (!counting_) t_first_without_ns_ = e.t_capture_ns;
+  if (!counting_) {
+    t_first_without_ns_ = t_last_ns_ = e.t_capture_ns;
+    without_pose_ns_ = searched_ns_ = 0;
+  }
   counting_ = true;
+  const bool searched = e.kind != FrameEvidence::Kind::kSamePicture && !e.shows_nothing;
+  if (searched) searched_ns_ += std::max<rt::TimeNs>(0, e.t_capture_ns - t_last_ns_);
+  t_last_ns_ = std::max(t_last_ns_, e.t_capture_ns);
   without_pose_ns_ = std::max(without_pose_ns_, e.t_capture_ns - t_first_without_ns_);
   reason_ = why;
-  if (without_pose_ns_ >= options_.give_up_ns) {
+  const rt::TimeNs give_up_ns = e.expected ? options_.give_up_expected_ns : options_.give_up_ns;
+  if (searched_ns_ >= give_up_ns) {
     state_ = State::kLost;
     reason_ = {"not found in the map for too long, a new one begins [ms]",
-               static_cast<int>(without_pose_ns_ / rt::kNsPerMs), static_cast<int>(options_.give_up_ns / rt::kNsPerMs)};
+               static_cast<int>(searched_ns_ / rt::kNsPerMs), static_cast<int>(give_up_ns / rt::kNsPerMs)};
     give_up_ = true;
     counting_ = false;
-    without_pose_ns_ = 0;
+    without_pose_ns_ = searched_ns_ = 0;
   } else if (e.inertial_pose && (state_ == State::kTracking || state_ == State::kCoasting) &&
              without_pose_ns_ <= options_.coast_ns) {
     state_ = State::kCoasting;

@@ -22,7 +22,10 @@ struct HealthOptions {
   /// A picture may be repeated for so long, as recorders and drivers do, before the camera is taken for a frozen one:
   /// until then the next new picture is followed as if nothing had been (TrackerOptions::direct_gap_ns).
   rt::TimeNs frozen_ns = 150 * rt::kNsPerMs;
-  rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;  ///< search for the old map so long, then begin a new one
+  /// The old map is searched for so long in pictures that show anything, then a new one begins; shorter where every
+  /// picture was searched from where the camera should be: what is not found there in 30 pictures is out of view.
+  rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;
+  rt::TimeNs give_up_expected_ns = rt::kNsPerSecond;
 };
 
 /// What one frame has shown.
@@ -41,6 +44,8 @@ struct FrameEvidence {
   bool inertial_pose = false;  ///< a pose from inertial measurements is at hand
   rt::TimeNs t_capture_ns = 0;
   Reason refusal{};  ///< kNoPose: what the pose failed by; without text: measurements were too few
+  bool shows_nothing = false;  ///< kNoPose: nothing could have been found in this picture
+  bool expected = false;       ///< where the camera should be is known by other means
 };
 
 /// One for each tracker. No allocation.
@@ -57,6 +62,8 @@ class Health {
   bool give_up() const { return give_up_; }
   /// Time since the first frame without a pose from its picture; 0 while tracking.
   rt::TimeNs without_pose_ns() const { return without_pose_ns_; }
+  /// Of that, what was spent on pictures in which something could have been found.
+  rt::TimeNs searched_ns() const { return searched_ns_; }
 
  private:
   void without_pose(const FrameEvidence& e, const Reason& why);
@@ -69,6 +76,7 @@ class Health {
   bool counting_ = false;            ///< since t_first_without_ns_ no picture gave a pose
   rt::TimeNs t_first_without_ns_ = 0;
   rt::TimeNs without_pose_ns_ = 0;
+  rt::TimeNs searched_ns_ = 0, t_last_ns_ = 0;
 };
 
 }  // namespace godwit::vo

@@ -14,6 +14,30 @@ using S = InertialState;
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
     : options_(options), prior_(options.prior), smoother_(mounting, options.model) {}
 
+void InertialOdometry::add(const ImuReading& reading) {
+  buffer_.add(reading);
+  if (smoother_.size() == 0) return;
+  // Not up to the reading: a picture may be late.
+  const rt::TimeNs t_node_ns = smoother_.node(smoother_.size() - 1).t_ns;
+  const rt::TimeNs t_ns = reading.t_ns - ImuBuffer::kSpanNs / 4;
+  if (t_ns - std::max(t_bridge_ns_, t_node_ns) <= ImuBuffer::kSpanNs / 4) return;
+  bridge_missing_ns_ = measured_since(t_ns, &bridge_);
+  t_bridge_ns_ = t_ns;
+}
+
+rt::TimeNs InertialOdometry::measured_since(rt::TimeNs t_ns, Preintegration* since) const {
+  rt::TimeNs from_ns = smoother_.node(smoother_.size() - 1).t_ns;
+  rt::TimeNs missing_ns = 0;
+  if (t_bridge_ns_ > from_ns) {
+    *since = bridge_;
+    from_ns = t_bridge_ns_;
+    missing_ns = bridge_missing_ns_;
+  } else {
+    *since = Preintegration(smoother_.newest().bias);
+  }
+  return missing_ns + buffer_.integrate(from_ns, t_ns, options_.model.imu, since).missing_ns;
+}
+
 bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const {
   if (buffer_.empty() || !metric_) return false;  // before, the gyroscope's bias is not known
   const S& x = smoother_.newest();
@@ -65,11 +89,16 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     prior_.bias = x.bias;
     prior_.mounting = x.mounting;
     prior_.time_offset_s = x.time_offset_s;
-    const auto sigma = [&](int i, double floor) {
-      return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment<3>(i).maxCoeff()));
+    const auto sigma = [&](int i, int n, double floor) {
+      return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment(i, n).maxCoeff()));
     };
-    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 2e-3));
-    prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3e-2));
+    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, 2e-3));
+    prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
+    // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
+    prior_.mounting_sigma = std::min(prior_.mounting_sigma, sigma(S::kMounting, 3, 3e-3));
+    prior_.time_sigma = std::min(prior_.time_sigma, sigma(S::kTime, 1, 5e-4));
+  } else if (!prior_kept_) {
+    prior_ = options_.prior;
   }
   metric_ = told_ = false;
   prior_kept_ = true;
@@ -89,11 +118,9 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   if (pose.t_ns - last < after_ns) return false;
   InertialNode node;
   node.t_ns = pose.t_ns;
-  node.since_last = Preintegration(smoother_.newest().bias);
-  const auto covered = buffer_.integrate(last, pose.t_ns, options_.model.imu, &node.since_last);
-  if (covered.missing_ns > options_.max_missing_ns || node.since_last.dt_s() <= 0) {
-    refuse("inertial readings are missing [s]", rt::to_seconds(covered.missing_ns),
-           rt::to_seconds(options_.max_missing_ns));
+  const rt::TimeNs missing_ns = measured_since(pose.t_ns, &node.since_last);
+  if (missing_ns > options_.max_missing_ns || node.since_last.dt_s() <= 0) {
+    refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
     begin_window(pose);
     return false;
   }
@@ -228,6 +255,14 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     }
   }
   return metric_ ? tell(pose) : MetricPose{};
+}
+
+bool InertialOdometry::in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const {
+  if (!told_) return false;
+  *map_id = map_id_;
+  *T_map_cam = {R_nav_map_.transpose() * T_nav_cam.R,
+                anchor_map_ + R_nav_map_.transpose() * (T_nav_cam.t - anchor_nav_) / smoother_.newest().scale()};
+  return true;
 }
 
 Mat6 InertialOdometry::grown_since_anchor(const VisualPose& pose) const {

@@ -76,11 +76,14 @@ class InertialOdometry {
  public:
   explicit InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options = {});
 
-  void add(const ImuReading& reading) { buffer_.add(reading); }
+  void add(const ImuReading& reading);
   /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured whole.
   bool camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const;
   /// Takes in one frame and says what it is in metres. Bounded: one solution of the window at most.
   MetricPose frame(const VisualPose& pose);
+
+  /// A pose in the frame that MetricPose has, in the map's own; map_id: of that map. False while it is not metric.
+  bool in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const;
 
   bool metric() const { return metric_; }
   /// How often it became metric: poses of one number stand in one frame.
@@ -95,6 +98,8 @@ class InertialOdometry {
   std::uint64_t refused_readings() const { return buffer_.refused(); }
 
  private:
+  /// What was measured since the newest moment, up to a time; returns how much of it nobody measured.
+  rt::TimeNs measured_since(rt::TimeNs t_ns, Preintegration* since) const;
   /// How fast vision strays now, by what it says itself.
   void judge_stray(const VisualPose& pose);
   void begin_window(const VisualPose& pose);
@@ -115,6 +120,9 @@ class InertialOdometry {
   InertialPrior prior_;
   ImuBuffer buffer_;
   InertialSmoother smoother_;
+  // What the buffer forgets while no picture gives a pose: measured from the newest moment to t_bridge_ns_ (0: nothing).
+  Preintegration bridge_;
+  rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
   bool metric_ = false;
   bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
   std::uint32_t begun_ = 0;

@@ -42,7 +42,7 @@ bool NavigationFrame::add(const ImuReading& reading) {
 }
 
 void NavigationFrame::break_frame(const char* why, double value, double limit) {
-  known_ = false;
+  known_ = drifted_off_ = false;
   state_.v.setZero();
   why_ = why;
   value_ = value;
@@ -53,13 +53,20 @@ void NavigationFrame::go_on_to(rt::TimeNs t_ns) {
   if (!known_ || t_ns <= t_state_ns_) return;
   blind_ns_ += state_.propagate(buffer_, t_state_ns_ + shift_ns_, t_ns + shift_ns_, options_.inertial);
   t_state_ns_ = t_ns;
-  const double grown = std::sqrt(std::max(0.0, state_.P.diagonal().segment<3>(D::kPlace).sum() - seen_variance_));
   const double turned = std::sqrt(std::max(0.0, state_.P(D::kAttitude + 2, D::kAttitude + 2) - seen_heading_variance_));
-  if (!(grown <= options_.broken_sigma_m)) {
-    break_frame("flown blind too far to join on: sigma [m]", grown, options_.broken_sigma_m);
-  } else if (!(turned <= options_.broken_heading_rad)) {
+  if (!(turned <= options_.broken_heading_rad)) {
     break_frame("turned blind too far to join on: sigma [rad]", turned, options_.broken_heading_rad);
+    drifted_off_ = true;
   }
+}
+
+bool NavigationFrame::expected(rt::TimeNs t_ns, SE3* T_child_cam) const {
+  if (!known_ || blind_ns_ > 0 || t_ns < t_state_ns_) return false;
+  DeadReckoning then = state_;
+  if (then.propagate(buffer_, t_state_ns_ + shift_ns_, t_ns + shift_ns_, options_.inertial) > 0) return false;
+  const Vec3 p_nav = then.p + then.R * t_body_cam_;
+  *T_child_cam = {turn_.transpose() * then.R * R_body_cam_, anchor_child_ + turn_.transpose() * (p_nav - anchor_)};
+  return true;
 }
 
 Vec3 NavigationFrame::rate_at(rt::TimeNs t_ns) const {
@@ -110,6 +117,14 @@ bool NavigationFrame::join(const MetricMoment& m, const Mat3& R_child_body, cons
   }
   if (!(speed2 <= options_.most_speed2)) {
     break_frame("the new map's speed is not the sensor's: sigmas squared", speed2, options_.most_speed2);
+    return false;
+  }
+  // Only now: what a wrong vertical or bias did to the speed it did to the place, too, so that the new map's speed takes
+  // most of it back.
+  const double grown = std::sqrt(std::max(0.0, joined.P.diagonal().segment<3>(D::kPlace).sum() - seen_variance_));
+  if (!(grown <= options_.broken_sigma_m)) {
+    break_frame("flown blind too far to join on: sigma [m]", grown, options_.broken_sigma_m);
+    state_.p = joined.p;
     return false;
   }
   state_ = joined;
@@ -255,6 +270,9 @@ NavigationPose NavigationFrame::frame(rt::TimeNs t_ns, const MetricMoment* seen)
   const bool tied = known_;
   const DeadReckoning before = state_;
   const bool other = m.child_id != child_id_;
+  // Dead reckoning got lost, not the map: that hangs where it hung.
+  if (drifted_off_ && !other) known_ = true;
+  drifted_off_ = false;
   if (!known_ || (other && !join(m, R_child_body, p_child_body))) begin(m, R_child_body, p_child_body);
   NavigationPose out = tell_seen(m);
   if (known_ && tied && (!last_seen_ || other)) {

@@ -56,4 +56,24 @@ RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& py
   return out;
 }
 
+RelocalisationGuess Relocaliser::expect(const Map& map, const SE3& T_cam_world) const {
+  RelocalisationGuess out;
+  int most = 0;
+  for (int k = 0; k < kMaxKeyframes; ++k) {
+    const Keyframe& kf = map.keyframe(k);
+    if (kf.id == 0) continue;
+    int seen = 0;
+    for (int i = 0; i < kf.feature_count; ++i) {
+      const MapPoint* p = map.find(kf.features[i].point);
+      Vec2 px;
+      seen += p != nullptr && camera_.project(T_cam_world * p->p_world, &px) && camera_.in_image(px, 0);
+    }
+    if (seen <= most) continue;
+    most = seen;
+    out.place = k;
+    out.T_cur_kf = T_cam_world * kf.T_kf_world.inverse();
+  }
+  return out;
+}
+
 }  // namespace godwit::vo

@@ -22,7 +22,7 @@ struct RelocaliserOptions {
 struct RelocalisationGuess {
   int place = -1;  ///< of the keyframe, -1: nothing resembles
   float correlation = 0.0f;
-  SE3 T_cur_kf;  ///< rotation only
+  SE3 T_cur_kf;  ///< by likeness: rotation only
 };
 
 /// Fixed storage. One thread, the tracker's.
@@ -38,6 +38,9 @@ class Relocaliser {
   /// every keyframe of the map that has points: at most kMaxKeyframes thumbnail matches. No allocation.
   RelocalisationGuess guess(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                             int attempt) const;
+  /// From where the camera should be: the keyframe with most of its points in that view, turned and moved against it so.
+  /// At most all points of all keyframes are projected. No allocation.
+  RelocalisationGuess expect(const Map& map, const SE3& T_cam_world) const;
 
  private:
   struct Entry {

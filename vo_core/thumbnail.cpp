@@ -71,6 +71,15 @@ Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidVi
   return out;
 }
 
+bool shows_nothing(const Thumbnail& thumbnail) {
+  int squares = 0, cells = 0;
+  for (std::size_t i = 0; i < Thumbnail::kCells; ++i) {
+    squares += thumbnail.valid[i] * thumbnail.value[i] * thumbnail.value[i];
+    cells += thumbnail.valid[i];
+  }
+  return squares < cells || cells == 0;
+}
+
 ThumbnailMatch match_thumbnails(const Thumbnail& ref, const Thumbnail& cur) {
   ThumbnailMatch best;
   for (int dy = -kMaxShiftY; dy <= kMaxShiftY; dy += 2) {

@@ -22,6 +22,10 @@ struct Thumbnail {
 /// what lies at Rot(roll) x in the picture. Cells with dynamic pixels are not valid. No allocation.
 Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, double roll_rad);
 
+/// Its cells differ by less than a grey level, root mean square: a covered lens, darkness, thick fog. The noise of a
+/// cell's mean of some 1,000 pixels is far below that.
+bool shows_nothing(const Thumbnail& thumbnail);
+
 struct ThumbnailMatch {
   float correlation = -1.0f;  ///< zero-mean, -1 to 1, over the cells that both have
   int dx = 0, dy = 0;         ///< cell (x, y) of `ref` looks like cell (x + dx, y + dy) of `cur`

@@ -165,7 +165,9 @@ FrameResult Tracker::track(const FrameInput& in) {
     result.times.initialise = now() - t0;
   } else {
     evidence.kind = locate(in, &frame, &result);
+    evidence.expected = expects(in);
     if (evidence.kind == FrameEvidence::Kind::kNoPose) {
+      evidence.shows_nothing = shows_nothing(make_thumbnail(frame.pyramid, frame.mask, 0.0));
       retire(&frame);
     } else {
       take_pose(evidence.kind, &frame, &result);

@@ -31,6 +31,13 @@ struct StageTimes {
   rt::TimeNs pyramid = 0, apply = 0, initialise = 0, align = 0, reproject = 0, pose = 0, keyframe = 0;
 };
 
+/// Where a camera that has lost the map should be in it.
+struct PosePrior {
+  bool known = false;
+  std::uint32_t map_id = 0;
+  SE3 T_cam_map;
+};
+
 struct FrameInput {
   rt::ImageView grey;  ///< level 0, rows aligned to rt::kRowAlignment
   std::uint8_t* pyramid_storage = nullptr;
@@ -40,6 +47,7 @@ struct FrameInput {
   std::uint32_t sequence = 0;
   rt::TimeNs t_capture_ns = 0;
   RotationPrior rotation;  ///< rotation since the last frame, from an IMU
+  PosePrior expected;      ///< by dead reckoning: where a search for the map begins
   /// Of ReprojectorOptions::max_features, 0 to 1: fewer where time is short. Twice min_measurements are always looked
   /// for.
   double feature_share = 1.0;
@@ -166,7 +174,9 @@ class Tracker {
   bool initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
   FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
-  bool align_with_keyframe(int attempt, Frame* frame, FrameResult* result);
+  bool align_with_keyframe(const RelocalisationGuess& guess, Frame* frame);
+  bool look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result);
+  bool look_for_likeness(int attempt, Frame* frame, FrameResult* result);
   bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
   // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
   bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
@@ -179,6 +189,7 @@ class Tracker {
   int least_measurements(const Frame& frame) const {
     return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;
   }
+  bool expects(const FrameInput& in) const { return in.expected.known && in.expected.map_id == map_id_; }
   bool find_in_map(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
   void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);

@@ -31,9 +31,7 @@ bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_c
   return n >= 15;
 }
 
-bool Tracker::align_with_keyframe(int attempt, Frame* frame, FrameResult* result) {
-  const rt::TimeNs t0 = now();
-  const RelocalisationGuess guess = relocaliser_->guess(*map_, frame->pyramid, frame->mask, attempt);
+bool Tracker::align_with_keyframe(const RelocalisationGuess& guess, Frame* frame) {
   int n = 0;
   if (guess.place >= 0) {
     const Keyframe& kf = map_->keyframe(guess.place);
@@ -49,8 +47,22 @@ bool Tracker::align_with_keyframe(int attempt, Frame* frame, FrameResult* result
   }
   frame->velocity.setZero();
   if (n < 15) refusal_ = {"no keyframe to begin with, points in it", n, 15};
-  result->times.align += now() - t0;
   return n >= 15;
+}
+
+bool Tracker::look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const RelocalisationGuess guess = relocaliser_->expect(*map_, expected.T_cam_map);
+  const bool found = align_with_keyframe(guess, frame);
+  result->times.align += now() - t0;
+  return found;
+}
+
+bool Tracker::look_for_likeness(int attempt, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const bool found = align_with_keyframe(relocaliser_->guess(*map_, frame->pyramid, frame->mask, attempt), frame);
+  result->times.align += now() - t0;
+  return found;
 }
 
 bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result) {
@@ -149,15 +161,18 @@ bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
 }
 
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
-  // What looks like a keyframe; between movers, who spoil that, in turns with what looks like points of the map. First
-  // a rough pose, then all of the map around it.
-  const int attempt = relocalise_attempt_++;
+  // Where the camera should be, if anyone knows, in turns with what looks like a keyframe; between movers, who spoil
+  // that, in turns with what looks like points of the map. First a rough pose, then all of the map around it.
+  const bool expected = expects(in);
+  const bool there = expected && relocalise_attempt_ % 2 == 0;
+  const int attempt = expected ? relocalise_attempt_++ / 2 : relocalise_attempt_++;
   // What an attempt before this one has seen is not told as this one's.
   refusal_ = {};
   result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
-  const bool guessed = !frame->crowded    ? align_with_keyframe(attempt, frame, result)
+  const bool guessed = there               ? look_where_expected(in.expected, frame, result)
+                       : !frame->crowded   ? look_for_likeness(attempt, frame, result)
                        : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
-                                          : align_with_keyframe(attempt / 2, frame, result);
+                                          : look_for_likeness(attempt / 2, frame, result);
   if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
       measure(in, false, frame, least_measurements(*frame), result) &&
       (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
@@ -169,10 +184,15 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
   using Kind = FrameEvidence::Kind;
   const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
   if (last_.slot >= 0 && gap <= options_.last_frame_gap_ns) {
-    // Constant velocity, over as much time as has passed; after a gap the camera may have done anything.
+    // Constant velocity, over as much time as has passed; after a gap the camera may have done anything, unless someone
+    // else has watched it.
     const bool near = gap <= options_.direct_gap_ns;
     SE3 guess;
-    if (have_velocity_ && near && gap > 0) guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
+    if (have_velocity_ && near && gap > 0) {
+      guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
+    } else if (!near && expects(in)) {
+      guess = in.expected.T_cam_map * last_.T_cam_world.inverse();
+    }
     align_with_last(in, frame, guess, result);
     const bool coarser = near && feature_count_ < options_.plenty;
     bool held = measure(in, coarser, frame, least_measurements(*frame), result);

@@ -87,6 +87,15 @@ vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
   return prior;
 }
 
+vo::PosePrior InertialPoses::expected(rt::TimeNs t_ns) const {
+  vo::PosePrior prior;
+  vo::SE3 T_child_cam, T_map_cam;
+  prior.known = !last_seen_ && navigation_->expected(t_ns + shift_ns_, &T_child_cam) &&
+                odometry_->in_map(T_child_cam, &T_map_cam, &prior.map_id);
+  if (prior.known) prior.T_cam_map = T_map_cam.inverse();
+  return prior;
+}
+
 void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, FrameRecord* record) {
   // Nothing was measured, and what was told stands.
   if (result.repeated) return;
@@ -94,7 +103,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   t_last_ns_ = t_ns;
   vo::VisualPose seen;
   seen.t_ns = t_ns;
-  seen.tracked = result.tracked && finite(result);
+  seen.tracked = last_seen_ = result.tracked && finite(result);
   seen.map_id = result.map_id;
   seen.T_map_cam = result.T_world_cam;
   seen.covariance = result.covariance;

@@ -25,6 +25,8 @@ class InertialPoses {
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
   /// bias is not known. Before the frame at t_ns is tracked.
   vo::RotationPrior turn_since_last(rt::TimeNs t_ns) const;
+  /// Where that frame's camera should be in the map, where the last one saw nothing.
+  vo::PosePrior expected(rt::TimeNs t_ns) const;
   /// After it: the record's pose becomes that of the navigation frame. Where the picture gives none, or none with scale
   /// and vertical, the frame does not count as tracked: the pose is the inertial sensor's for a while, and then the
   /// record says what is waited for. Nothing of what vision knows is rescaled or turned.
@@ -40,6 +42,7 @@ class InertialPoses {
   const rt::TimeNs shift_ns_;  ///< what is calibrated; all times within are the inertial sensor's
   InertialRecord sensor_;      ///< as known with the last picture that gave a metric pose
   rt::TimeNs t_last_ns_ = 0;
+  bool last_seen_ = false;  ///< that picture gave a pose in the map
 };
 
 }  // namespace godwit::app

@@ -62,6 +62,7 @@ class OdometryStage final : public FrameStage {
     }
     input.feature_share = feature_share_;
     if (inertial_ != nullptr && gyro_helps_) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
+    if (inertial_ != nullptr) input.expected = inertial_->expected(frame.meta.t_capture_ns);
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr)
       view_->look(frame.meta, input.grey, input.mask,

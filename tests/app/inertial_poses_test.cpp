@@ -197,11 +197,39 @@ TEST(InertialPoses, AFrameThatBeginsAnewSaysWhy) {
   f.tracked_ = false;
   for (int k = 80; k < 1600; ++k) f.frame(k);
   f.tracked_ = true;
+  f.map_id_ = 2;
   FrameRecord r;
   for (int k = 1600; k < 1720 && !r.metric; ++k) r = f.frame(k);
   ASSERT_TRUE(r.tracked && r.metric);
   EXPECT_EQ(r.frame_id, 2u);
   EXPECT_NE(std::string(r.reason.view()).find("blind"), std::string::npos) << r.reason.view();
+}
+
+TEST(InertialPoses, TheSameMapIsTheSameFrameHoweverLongItWasLost) {
+  Flown f(5);
+  for (int k = 0; k < 80; ++k) f.frame(k);
+  f.tracked_ = false;
+  for (int k = 80; k < 6000; ++k) f.frame(k);
+  f.tracked_ = true;
+  FrameRecord r;
+  for (int k = 6000; k < 6120 && !r.metric; ++k) r = f.frame(k);
+  ASSERT_TRUE(r.tracked && r.metric);
+  EXPECT_EQ(r.frame_id, 1u);
+}
+
+TEST(InertialPoses, WhereALostCameraShouldBeIsAskedForOnlyThen) {
+  Flown f(6);
+  for (int k = 0; k < 80; ++k) {
+    f.frame(k);
+    EXPECT_FALSE(f.poses_.expected((k + 1) * 50 * rt::kNsPerMs).known) << "vision knows better";
+  }
+  f.tracked_ = false;
+  for (int k = 80; k < 120; ++k) f.frame(k);
+  const vo::PosePrior prior = f.poses_.expected(119 * 50 * rt::kNsPerMs);
+  ASSERT_TRUE(prior.known);
+  EXPECT_EQ(prior.map_id, 1u);
+  const vo::InertialNode seen = f.flight_.node(119, {});
+  EXPECT_LT((prior.T_cam_map.inverse().t - seen.sight.camera).norm(), 0.2);
 }
 
 TEST(InertialPoses, NoNanLeavesWhateverComesIn) {

@@ -102,6 +102,32 @@ TEST_F(HealthTest, GivesUpOnceAndTellsHowLongItSearched) {
   EXPECT_EQ(step(Kind::kFirstMap, 70), State::kTracking);
 }
 
+TEST_F(HealthTest, OnlyPicturesThatShowSomethingAreASearch) {
+  begin();
+  const auto without = [&](bool shows_nothing, bool expected) {
+    FrameEvidence e;
+    e.kind = Kind::kNoPose;
+    e.t_capture_ns = now_ += kFrame;
+    e.shows_nothing = shows_nothing;
+    e.expected = expected;
+    health_.step(e);
+    return health_.give_up();
+  };
+  for (int i = 0; i < 1000; ++i) ASSERT_FALSE(without(true, false)) << "a covered lens";
+  for (int i = 0; i < 1000; ++i) {
+    step(Kind::kSamePicture);
+    ASSERT_FALSE(health_.give_up()) << "a frozen camera";
+  }
+  EXPECT_GT(health_.without_pose_ns(), 60 * rt::kNsPerSecond);
+  int frames = 0;
+  while (!without(false, false) && frames < 1000) ++frames;
+  EXPECT_NEAR(static_cast<double>(frames * kFrame), static_cast<double>(options_.give_up_ns), 2.0 * kFrame);
+  // Whoever knows where the camera should be has looked in the right place at once.
+  step(Kind::kFirstMap, 120);
+  for (frames = 0; !without(false, true) && frames < 1000;) ++frames;
+  EXPECT_NEAR(static_cast<double>(frames * kFrame), static_cast<double>(options_.give_up_expected_ns), 2.0 * kFrame);
+}
+
 TEST_F(HealthTest, AGapInTimeAloneGivesNothingUp) {
   begin();
   EXPECT_EQ(step(Kind::kNoPose, 0, false, 60 * rt::kNsPerSecond), State::kRelocalising)

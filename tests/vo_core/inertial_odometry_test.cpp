@@ -28,8 +28,8 @@ class Flown {
     odometry_ = std::make_unique<InertialOdometry>(flight->mounting_, options);
   }
 
-  MetricPose frame(int k) {
-    const double t = k / 20.0;
+  /// The readings of the 50 ms before t.
+  void feel(double t) {
     for (int i = 1; i <= 10; ++i) {
       if (silent_) continue;
       ImuReading r = flight_.reading(t - 0.05 + i / 200.0);
@@ -38,6 +38,10 @@ class Flown {
       if (poison_) r.accel_m_s2.y() = std::numeric_limits<double>::quiet_NaN();
       odometry_->add(r);
     }
+  }
+  MetricPose frame(int k) {
+    const double t = k / 20.0;
+    feel(t);
     const InertialNode seen = flight_.node(k, {});
     VisualPose pose;
     pose.t_ns = seen.t_ns;
@@ -207,6 +211,60 @@ TEST(InertialOdometry, WithoutReadingsItIsNoLongerMetric) {
   flown.silent_ = false;
   for (int k = 90; k < 150; ++k) flown.frame(k);
   EXPECT_TRUE(flown.odometry_->metric());
+}
+
+// The buffer of readings forgets after two seconds: what it forgets while nothing is seen must not be lost.
+TEST(InertialOdometry, TheSameMapIsMetricAtOnceAfterALongLoss) {
+  Flight f(1.0, 12);
+  Flown flown(&f, true);
+  MetricPose last, back;
+  for (int k = 0; k < 80; ++k) last = flown.frame(k);
+  ASSERT_TRUE(last.valid);
+  flown.tracked_ = false;
+  for (int k = 80; k < 200; ++k) EXPECT_FALSE(flown.frame(k).valid);
+  flown.tracked_ = true;
+  back = flown.frame(200);
+  ASSERT_TRUE(back.valid) << flown.odometry_->refusal().text << " " << flown.odometry_->refusal().value;
+  EXPECT_EQ(flown.odometry_->begun(), 1u);
+  EXPECT_NEAR((back.T_nav_cam.t - last.T_nav_cam.t).norm(), (flown.camera(10.0) - flown.camera(3.95)).norm(), 0.02);
+  // And pictures that did not come at all are no other loss.
+  for (int k = 201; k < 221; ++k) flown.frame(k);
+  for (int k = 221; k < 321; ++k) flown.feel(k / 20.0);
+  back = flown.frame(321);
+  EXPECT_TRUE(back.valid) << flown.odometry_->refusal().text << " " << flown.odometry_->refusal().value;
+  EXPECT_EQ(flown.odometry_->begun(), 1u);
+}
+
+TEST(InertialOdometry, WhatIsKnownOfTheSensorOutlivesTheMap) {
+  Flight f(1.0, 13);
+  Flown flown(&f, true);
+  for (int k = 0; k < 200; ++k) flown.frame(k);
+  const auto sigma = [&] {
+    using S = InertialState;
+    return std::sqrt(flown.odometry_->smoother().covariance().diagonal().segment<3>(S::kMounting).maxCoeff());
+  };
+  const double known = sigma();
+  ASSERT_LT(known, 0.2 * InertialPrior{}.mounting_sigma);
+  flown.map_id_ = 2;
+  int k = 200;
+  while (flown.odometry_->begun() < 2 && k < 300) flown.frame(k++);
+  ASSERT_EQ(flown.odometry_->begun(), 2u);
+  EXPECT_LT(sigma(), std::max(3e-3, 2.1 * known)) << "it was not screwed off with the map";
+}
+
+TEST(InertialOdometry, TheCamerasPlaceIsToldInTheMapsOwnUnit) {
+  Flight f(1.0, 14);
+  Flown flown(&f);
+  SE3 in_map;
+  std::uint32_t map_id = 0;
+  EXPECT_FALSE(flown.odometry_->in_map({}, &in_map, &map_id)) << "no metres yet";
+  MetricPose pose;
+  for (int k = 0; k < 80; ++k) pose = flown.frame(k);
+  ASSERT_TRUE(flown.odometry_->in_map(pose.T_nav_cam, &in_map, &map_id));
+  EXPECT_EQ(map_id, 1u);
+  const InertialNode seen = f.node(79, {});
+  EXPECT_LT((in_map.t - seen.sight.camera).norm(), 0.02);
+  EXPECT_LT(so3_log(in_map.R.transpose() * seen.sight.R_map_cam).norm(), 0.01);
 }
 
 TEST(InertialOdometry, ANewMapIsJoinedOnWhereTheOldOneEnded) {

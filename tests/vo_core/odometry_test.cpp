@@ -1,7 +1,9 @@
 // Tracker and mapper together on rendered pictures with exact truth.
 #include <cstring>
+#include <functional>
 #include <gtest/gtest.h>
 #include <memory>
+#include <random>
 #include <vector>
 
 #include "hal/rt/alloc_hook.h"
@@ -67,6 +69,16 @@ void light_by_lamps(int frame, std::uint8_t* grey) {
   }
 }
 
+/// In an order: a picture of nothing that the map knows, each time another one.
+constexpr int kElsewhere = -2;
+void draw_elsewhere(std::size_t seed, std::uint8_t* grey) {
+  std::minstd_rand engine(static_cast<unsigned>(seed + 1));
+  for (int block = 0; block < 20 * 15; ++block) {
+    const int value = static_cast<int>(engine() % 200);
+    for (int y = 0; y < 16; ++y) std::memset(grey + (block / 20 * 16 + y) * 320 + block % 20 * 16, value, 16);
+  }
+}
+
 struct Flown {
   std::vector<FrameResult> frames;
   std::vector<int> points;  ///< in the tracker's map after each frame
@@ -74,7 +86,11 @@ struct Flown {
   int slots_out = 0;
 };
 
-Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {}, std::size_t masked_from = 0) {
+/// Where the camera should be at a picture, by what was tracked until then.
+using Expectation = std::function<PosePrior(std::size_t, const Flown&)>;
+
+Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {}, std::size_t masked_from = 0,
+                   const Expectation& expected = nullptr) {
   const CameraModel camera = small_camera();
   TrackerOptions options;
   options.delta_delay_frames = 2;
@@ -104,6 +120,8 @@ Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mas
       std::memcpy(data, turned_picture(order[i] - kTurned).view().data, base);
     } else if (order[i] >= 0) {
       std::memcpy(data, pictures()[static_cast<std::size_t>(order[i])].view().data, base);
+    } else if (order[i] == kElsewhere) {
+      draw_elsewhere(i, data);
     } else {
       std::memset(data, static_cast<int>(i % 3), base);  // black, but not the very same picture each time
     }
@@ -116,6 +134,7 @@ Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mas
     in.slot = slot;
     in.sequence = static_cast<std::uint32_t>(i);
     in.t_capture_ns = static_cast<rt::TimeNs>(i) * 33'333'333;
+    if (expected) in.expected = expected(i, run);
     FrameResult r;
     {
       const rt::RtScope scope;
@@ -222,9 +241,65 @@ TEST(Odometry, LampsOnTheMainsAreTrackedThrough) {
   EXPECT_EQ(run.frames.back().map_id, run.frames[23].map_id);
 }
 
+/// The sweep's truth in the map's frame and unit: the map's unit from the first `known` pictures.
+SE3 in_map(const Flown& run, std::size_t known, int picture) {
+  const std::vector<SE3> truth = sweep(60);
+  double num = 0, den = 0;
+  for (std::size_t i = 0; i < known; ++i) {
+    if (!run.frames[i].tracked) continue;
+    num += (truth[0] * truth[i].inverse()).t.dot(run.frames[i].T_world_cam.t);
+    den += run.frames[i].T_world_cam.t.squaredNorm();
+  }
+  SE3 T_world_cam = truth[0] * truth[static_cast<std::size_t>(picture)].inverse();
+  T_world_cam.t *= den / num;
+  return T_world_cam;
+}
+
+// The sweep goes on in the dark, until hardly anything looks as it did: by likeness the map is not found there. A sensor
+// that felt the way knows where to look, if only about.
+TEST(Odometry, AViewThatLooksLikeNoneIsFoundWhereTheCameraShouldBe) {
+  std::vector<int> order = forward(25);
+  for (int i = 0; i < 60; ++i) order.push_back(-1);
+  for (int i = 54; i < 60; ++i) order.push_back(i);
+  const auto felt = [&](std::size_t i, const Flown& run) {
+    PosePrior prior;
+    if (i < 25 || order[i] < 0) return prior;
+    SE3 T_world_cam = in_map(run, 25, order[i]);
+    T_world_cam = SE3(so3_exp(Vec3(0.01, -0.01, 0.01)), Vec3(0.02, -0.02, 0.02)) * T_world_cam;
+    prior.known = true;
+    prior.map_id = 1;
+    prior.T_cam_map = T_world_cam.inverse();
+    return prior;
+  };
+  const Flown by_likeness = run_odometry(order), run = run_odometry(order, {}, 0, felt);
+  ASSERT_TRUE(run.frames[24].tracked);
+  EXPECT_FALSE(by_likeness.frames[86].tracked) << "else this test shows nothing";
+  EXPECT_TRUE(run.frames[86].tracked) << run.frames[85].reason << ", " << run.frames[86].reason;
+  EXPECT_EQ(run.frames[86].map_id, run.frames[24].map_id);
+  EXPECT_LT((run.frames[86].T_world_cam.t - in_map(run, 25, order[86]).t).norm(), 0.02);
+  // Of another map nothing is expected.
+  const auto stale = [&](std::size_t i, const Flown& sofar) {
+    PosePrior prior = felt(i, sofar);
+    prior.map_id = 7;
+    return prior;
+  };
+  EXPECT_FALSE(run_odometry(order, {}, 0, stale).frames[86].tracked);
+}
+
+TEST(Odometry, ACoveredLensGivesNothingUp) {
+  std::vector<int> order = forward(30);
+  for (int i = 0; i < TrackerOptions{}.health.give_up_ns / 33'333'333 + 30; ++i) order.push_back(-1);
+  for (int i = 29; i < 36; ++i) order.push_back(i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[29].tracked);
+  ASSERT_TRUE(run.frames.back().tracked);
+  EXPECT_EQ(run.frames.back().map_id, run.frames[29].map_id) << "in the dark nothing was searched";
+}
+
 TEST(Odometry, AfterTooLongWithoutAPoseANewMapBegins) {
   std::vector<int> order = forward(30);
-  for (int i = 0; i < TrackerOptions{}.health.give_up_ns / 33'333'333 + 4; ++i) order.push_back(-1);
+  // Another view altogether.
+  for (int i = 0; i < TrackerOptions{}.health.give_up_ns / 33'333'333 + 4; ++i) order.push_back(kElsewhere);
   for (int i = 0; i < 30; ++i) order.push_back(i);
   const Flown run = run_odometry(order);
   ASSERT_TRUE(run.frames[29].tracked);

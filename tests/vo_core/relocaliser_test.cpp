@@ -51,6 +51,11 @@ TEST(Thumbnail, LooksLikeItselfAndNotLikeFlatGrey) {
   EXPECT_LT(match_thumbnails(t, flat).correlation, 0.0f);
 }
 
+TEST(Thumbnail, DarknessAndFlatGreyShowNothing) {
+  EXPECT_FALSE(shows_nothing(make_thumbnail(View{SE3()}.pyramid, {}, 0)));
+  EXPECT_TRUE(shows_nothing(make_thumbnail(View{SE3(), 0.0, 3.0}.pyramid, {}, 0)));
+}
+
 TEST(Thumbnail, WhatMovesIsLeftOut) {
   const View v{SE3()};
   // The left half is masked; there the other picture shows something else.
