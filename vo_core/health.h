@@ -43,7 +43,7 @@ struct FrameEvidence {
   int measurements = 0;
   bool inertial_pose = false;  ///< a pose from inertial measurements is at hand
   rt::TimeNs t_capture_ns = 0;
-  Reason refusal{};  ///< kNoPose: what the pose failed by; without text: measurements were too few
+  Reason refusal{};            ///< kNoPose: what the pose failed by; without text: measurements were too few
   bool shows_nothing = false;  ///< kNoPose: nothing could have been found in this picture
   bool expected = false;       ///< where the camera should be is known by other means
 };

@@ -120,7 +120,8 @@ class InertialOdometry {
   InertialPrior prior_;
   ImuBuffer buffer_;
   InertialSmoother smoother_;
-  // What the buffer forgets while no picture gives a pose: measured from the newest moment to t_bridge_ns_ (0: nothing).
+  // What the buffer forgets while no picture gives a pose: measured from the newest moment to t_bridge_ns_ (0:
+  // nothing).
   Preintegration bridge_;
   rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
   bool metric_ = false;

@@ -60,12 +60,15 @@ void NavigationFrame::go_on_to(rt::TimeNs t_ns) {
   }
 }
 
-bool NavigationFrame::expected(rt::TimeNs t_ns, SE3* T_child_cam) const {
+bool NavigationFrame::expected(rt::TimeNs t_ns, Expected* out) const {
   if (!known_ || blind_ns_ > 0 || t_ns < t_state_ns_) return false;
   DeadReckoning then = state_;
   if (then.propagate(buffer_, t_state_ns_ + shift_ns_, t_ns + shift_ns_, options_.inertial) > 0) return false;
   const Vec3 p_nav = then.p + then.R * t_body_cam_;
-  *T_child_cam = {turn_.transpose() * then.R * R_body_cam_, anchor_child_ + turn_.transpose() * (p_nav - anchor_)};
+  out->T_child_cam = {turn_.transpose() * then.R * R_body_cam_, anchor_child_ + turn_.transpose() * (p_nav - anchor_)};
+  const auto variances = then.P.diagonal();
+  out->place_sigma_m = std::sqrt(std::max(0.0, variances.segment<3>(D::kPlace).sum() - seen_variance_));
+  out->turn_sigma_rad = std::sqrt(variances.segment<3>(D::kAttitude).sum());
   return true;
 }
 
@@ -119,8 +122,8 @@ bool NavigationFrame::join(const MetricMoment& m, const Mat3& R_child_body, cons
     break_frame("the new map's speed is not the sensor's: sigmas squared", speed2, options_.most_speed2);
     return false;
   }
-  // Only now: what a wrong vertical or bias did to the speed it did to the place, too, so that the new map's speed takes
-  // most of it back.
+  // Only now: what a wrong vertical or bias did to the speed it did to the place, too, so that the new map's speed
+  // takes most of it back.
   const double grown = std::sqrt(std::max(0.0, joined.P.diagonal().segment<3>(D::kPlace).sum() - seen_variance_));
   if (!(grown <= options_.broken_sigma_m)) {
     break_frame("flown blind too far to join on: sigma [m]", grown, options_.broken_sigma_m);

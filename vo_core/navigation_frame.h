@@ -81,9 +81,14 @@ class NavigationFrame {
   /// seen: what is known of the picture of time t_ns; null where nothing is. What is no number, no rotation or no
   /// covariance counts as not seen.
   NavigationPose frame(rt::TimeNs t_ns, const MetricMoment* seen);
-  /// Where the camera should be at a time after the last picture's, by dead reckoning, in the child that was seen last.
+  /// Where the camera should be at a time after the last picture's, by dead reckoning, in the child that was seen last,
+  /// and how far it may have strayed since that picture [m, rad; root of the sum over the axes].
+  struct Expected {
+    SE3 T_child_cam;
+    double place_sigma_m = 0, turn_sigma_rad = 0;
+  };
   /// False: nobody knows.
-  bool expected(rt::TimeNs t_ns, SE3* T_child_cam) const;
+  bool expected(rt::TimeNs t_ns, Expected* out) const;
   /// The frame begins anew with the next moment that is seen. Static text.
   void break_frame(const char* why, double value, double limit);
 
@@ -105,9 +110,9 @@ class NavigationFrame {
   ImuBuffer buffer_;
   DeadReckoning state_;  ///< of the body; of the last picture, or further on
   Mat3 R_body_cam_ = Mat3::Identity();
-  bool known_ = false;  ///< state_ ties on to the frame
+  bool known_ = false;        ///< state_ ties on to the frame
   bool drifted_off_ = false;  ///< it no longer does, by nothing but the time it was blind
-  bool any_ = false;    ///< there was a frame: state_ says where it ended
+  bool any_ = false;          ///< there was a frame: state_ says where it ended
   rt::TimeNs t_state_ns_ = 0, t_seen_ns_ = 0, shift_ns_ = 0;
   rt::TimeNs blind_ns_ = 0;  ///< nobody measured since t_seen_ns_
   double seen_variance_ = 0, seen_heading_variance_ = 0;

@@ -38,8 +38,8 @@ class Relocaliser {
   /// every keyframe of the map that has points: at most kMaxKeyframes thumbnail matches. No allocation.
   RelocalisationGuess guess(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                             int attempt) const;
-  /// From where the camera should be: the keyframe with most of its points in that view, turned and moved against it so.
-  /// At most all points of all keyframes are projected. No allocation.
+  /// From where the camera should be: the keyframe with most of its points in that view, turned and moved against it
+  /// so. At most all points of all keyframes are projected. No allocation.
   RelocalisationGuess expect(const Map& map, const SE3& T_cam_world) const;
 
  private:

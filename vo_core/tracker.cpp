@@ -146,6 +146,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   frame.t_capture_ns = in.t_capture_ns;
   frame.mask = in.mask;
   frame.crowded = covered_share(in.mask) > options_.crowded;
+  if (expects(in)) frame.expected = in.expected;
   const bool same = same_picture(in.grey);
   frame.pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
   rt::TimeNs t1 = now();
@@ -165,7 +166,7 @@ FrameResult Tracker::track(const FrameInput& in) {
     result.times.initialise = now() - t0;
   } else {
     evidence.kind = locate(in, &frame, &result);
-    evidence.expected = expects(in);
+    evidence.expected = frame.expected.known;
     if (evidence.kind == FrameEvidence::Kind::kNoPose) {
       evidence.shows_nothing = shows_nothing(make_thumbnail(frame.pyramid, frame.mask, 0.0));
       retire(&frame);

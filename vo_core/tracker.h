@@ -36,6 +36,8 @@ struct PosePrior {
   bool known = false;
   std::uint32_t map_id = 0;
   SE3 T_cam_map;
+  double place_sigma = 0;     ///< [map units], root of the sum over the axes
+  double turn_sigma_rad = 0;  ///< the same
 };
 
 struct FrameInput {
@@ -125,6 +127,11 @@ struct TrackerOptions {
   int plenty = 120;
   int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
   int weak_beside = 12;  ///< of the measurements outside the mask
+  /// A pose that is found further than so many sigmas from where the camera should be is another place that looks
+  /// alike. Less than so much is never too far: a share of the scene's depth, and an angle, as vision's own error may
+  /// be.
+  double most_expected_sigmas = 4;
+  double expected_depth_share = 0.05, expected_turn_rad = 0.05;
   int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
   int unproved_frames = 5;      ///< so many frames may pass until one convinces
   int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
@@ -162,6 +169,7 @@ class Tracker {
     bool crowded = false;      ///< much of it is masked
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
+    PosePrior expected;
     std::uint32_t sequence = 0;
     std::uint32_t counter = 0;  ///< the tracker's own count
     rt::TimeNs t_capture_ns = 0;
@@ -186,6 +194,7 @@ class Tracker {
   bool enough_agree(double share, const FrameResult& r);
   bool as_noisy_as_stated(const FrameResult& r);
   bool few_but_sure(const Frame& frame, const FrameResult& r);
+  bool as_expected(const Frame& frame);
   int least_measurements(const Frame& frame) const {
     return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;
   }

@@ -151,6 +151,21 @@ bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
   return enough_agree(gate.inlier_share, r) && enough_found(gate.found_share, r);
 }
 
+bool Tracker::as_expected(const Frame& frame) {
+  const PosePrior& e = frame.expected;
+  if (!e.known) return true;
+  const SE3 apart = e.T_cam_map * frame.T_cam_world.inverse();
+  const double sigmas = options_.most_expected_sigmas;
+  const double places =
+      apart.t.norm() / std::max(sigmas * e.place_sigma, options_.expected_depth_share * median_depth_);
+  const double turns = so3_log(apart.R).norm() / std::max(sigmas * e.turn_sigma_rad, options_.expected_turn_rad);
+  const double off = std::max(places, turns);
+  if (off <= 1.0) return true;
+  refusal_ = {"looks alike, but the camera cannot be there: of what is possible [%]",
+              static_cast<int>(std::min(1e6, 100.0 * off)), 100};
+  return false;
+}
+
 bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
   if (!frame.crowded || weak_ >= options_.weak_frames) return false;
   // What lies inside the mask is looked for without being counted as tried: it must not stand in for what lies beside.
@@ -163,20 +178,20 @@ bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
   // Where the camera should be, if anyone knows, in turns with what looks like a keyframe; between movers, who spoil
   // that, in turns with what looks like points of the map. First a rough pose, then all of the map around it.
-  const bool expected = expects(in);
+  const bool expected = frame->expected.known;
   const bool there = expected && relocalise_attempt_ % 2 == 0;
   const int attempt = expected ? relocalise_attempt_++ / 2 : relocalise_attempt_++;
   // What an attempt before this one has seen is not told as this one's.
   refusal_ = {};
   result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
-  const bool guessed = there               ? look_where_expected(in.expected, frame, result)
-                       : !frame->crowded   ? look_for_likeness(attempt, frame, result)
+  const bool guessed = there              ? look_where_expected(frame->expected, frame, result)
+                       : !frame->crowded  ? look_for_likeness(attempt, frame, result)
                        : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
                                           : look_for_likeness(attempt / 2, frame, result);
   if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
       measure(in, false, frame, least_measurements(*frame), result) &&
       (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
-    return true;
+    return as_expected(*frame);
   return false;
 }
 
@@ -190,18 +205,20 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (have_velocity_ && near && gap > 0) {
       guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
-    } else if (!near && expects(in)) {
-      guess = in.expected.T_cam_map * last_.T_cam_world.inverse();
+    } else if (frame->expected.known) {
+      guess =
+          frame->expected.T_cam_map * (last_.expected.known ? last_.expected.T_cam_map : last_.T_cam_world).inverse();
     }
     align_with_last(in, frame, guess, result);
     const bool coarser = near && feature_count_ < options_.plenty;
-    bool held = measure(in, coarser, frame, least_measurements(*frame), result);
+    bool held = measure(in, coarser, frame, least_measurements(*frame), result) && as_expected(*frame);
     if (!held && near && have_velocity_) {
       // Where light changes from row to row the pictures may not be laid on each other at all. Points are found all the
       // same, each with a gain of its own, from where the motion goes on as it was; that is a guess, and must convince.
       frame->T_cam_world = guess * last_.T_cam_world;
       frame->velocity = last_.velocity;
-      held = measure(in, coarser, frame, least_measurements(*frame), result) && passes(options_.convincing, *result);
+      held = measure(in, coarser, frame, least_measurements(*frame), result) && passes(options_.convincing, *result) &&
+             as_expected(*frame);
     }
     if (held) {
       const bool counts = result->measurements >= options_.health.min_measurements;
@@ -210,7 +227,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       if (followed && weak_ == 0 && counts) return Kind::kPose;
       // After a guess, or after poses that did not count, one must convince before it does.
       if (followed || unproved_ > 0) {
-        if (counts && (sure || passes(options_.convincing, *result))) {
+        // Found where the camera should be, there are two witnesses.
+        const TrackerOptions::Gate& enough = frame->expected.known ? options_.promising : options_.convincing;
+        if (counts && (sure || passes(enough, *result))) {
           unproved_ = 0;
           return Kind::kPose;
         }

@@ -89,10 +89,14 @@ vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
 
 vo::PosePrior InertialPoses::expected(rt::TimeNs t_ns) const {
   vo::PosePrior prior;
-  vo::SE3 T_child_cam, T_map_cam;
-  prior.known = !last_seen_ && navigation_->expected(t_ns + shift_ns_, &T_child_cam) &&
-                odometry_->in_map(T_child_cam, &T_map_cam, &prior.map_id);
-  if (prior.known) prior.T_cam_map = T_map_cam.inverse();
+  vo::NavigationFrame::Expected there;
+  vo::SE3 T_map_cam;
+  prior.known = !last_seen_ && navigation_->expected(t_ns + shift_ns_, &there) &&
+                odometry_->in_map(there.T_child_cam, &T_map_cam, &prior.map_id);
+  if (!prior.known) return prior;
+  prior.T_cam_map = T_map_cam.inverse();
+  prior.place_sigma = there.place_sigma_m / odometry_->smoother().newest().scale();
+  prior.turn_sigma_rad = there.turn_sigma_rad;
   return prior;
 }
 
