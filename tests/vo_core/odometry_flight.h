@@ -53,6 +53,7 @@ inline SE3 turn_pose(int i) {
 inline const Picture& turned_picture(int i) {
   static const std::vector<Picture> all = [] {
     std::vector<Picture> out;
+    out.reserve(kTurnFrames);
     const SyntheticScene scene = SyntheticScene::general();
     for (int k = 0; k < kTurnFrames; ++k) out.push_back(scene.render(small_camera(), turn_pose(k)));
     return out;
@@ -103,6 +104,7 @@ inline Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidVi
   constexpr int kSlots = 90;
   std::vector<std::unique_ptr<std::uint8_t[]>> memory;
   std::vector<int> references(kSlots, 0);
+  memory.reserve(kSlots);
   for (int i = 0; i < kSlots; ++i) memory.emplace_back(new (std::align_val_t(64)) std::uint8_t[base + extra + 128]());
   Flown run;
   bool have_pose = false;
@@ -160,6 +162,7 @@ inline Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidVi
 
 inline std::vector<int> forward(int n) {
   std::vector<int> out;
+  out.reserve(static_cast<std::size_t>(n));
   for (int i = 0; i < n; ++i) out.push_back(i);
   return out;
 }
