@@ -23,7 +23,9 @@ int run(int argc, char** argv, const std::atomic<bool>& stop) {
   app.add_option("--config", file, "Configuration (TOML); config/godwit.toml lists every key")
       ->type_name("FILE")
       ->required();
-  app.footer("Exit codes: 0 ended by SIGTERM or SIGINT; 1 failed on the way; 2 did not start.");
+  app.footer(
+      "Exit codes: 0 ended by SIGTERM or SIGINT; 1 failed on the way; 2 did not start;\n"
+      "75 restart asked for over the bus.");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

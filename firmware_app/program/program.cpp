@@ -3,7 +3,9 @@
 #include <csignal>
 #include <cstdlib>
 #include <exception>
+#include <fcntl.h>
 #include <string>
+#include <unistd.h>
 
 #include "firmware_app/output/event_recorder.h"
 #include "firmware_app/output/line_log.h"
@@ -23,10 +25,19 @@ void on_signal(int /*signal*/) {
   stop.store(true, std::memory_order_relaxed);
 }
 
+/// A standard stream that whoever started us had closed would be the first file or bus that is opened, and what is said
+/// would go there.
+void fill_standard_streams() {
+  int fd = open("/dev/null", O_RDWR | O_CLOEXEC);
+  while (fd >= 0 && fd <= STDERR_FILENO) fd = open("/dev/null", O_RDWR | O_CLOEXEC);
+  if (fd >= 0) close(fd);
+}
+
 }  // namespace
 
 int run_program(const char* name, int (*run)(int argc, char** argv, const std::atomic<bool>& stop), int argc,
                 char** argv) {
+  fill_standard_streams();
   std::signal(SIGINT, on_signal);
   std::signal(SIGTERM, on_signal);
   // A file-size limit shall fail the write, which is told, not kill the process. So shall a reader that goes away. A

@@ -43,7 +43,8 @@ void become_nobody() {
 /// A running godwitd.
 class Daemon {
  public:
-  explicit Daemon(const std::string& config, bool as_nobody = false) {
+  enum class Log { kRead, kClosed };
+  explicit Daemon(const std::string& config, bool as_nobody = false, Log log = Log::kRead) {
     // Opened while we may: nobody need not find the way to the build folder.
     const int program = open(GODWIT_DAEMON, O_RDONLY | O_CLOEXEC);
     EXPECT_GE(program, 0);
@@ -53,6 +54,9 @@ class Daemon {
     if (pid_ == 0) {
       dup2(ends[1], STDERR_FILENO);
       close(ends[0]);
+      if (log == Log::kClosed) {
+        for (const int fd : {ends[1], STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) close(fd);
+      }
       if (as_nobody) become_nobody();
       const char* const arguments[] = {"godwitd", "--config", config.c_str(), nullptr};
       fexecve(program, const_cast<char* const*>(arguments), environ);
@@ -92,6 +96,11 @@ class Daemon {
     return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
   }
   const std::string& all() const { return all_; }
+  /// What a descriptor of it is.
+  std::string open_as(int fd) const {
+    std::error_code gone;
+    return std::filesystem::read_symlink("/proc/" + std::to_string(pid_) + "/fd/" + std::to_string(fd), gone);
+  }
 
  private:
   pid_t pid_ = -1;
@@ -159,6 +168,28 @@ TEST(Godwitd, NobodyReadsTheLogAndItFliesOn) {
   rt::sleep_until_ns(rt::monotonic_now_ns() + 2 * rt::kNsPerSecond);
   rt::TimeNs took = 0;
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0) << "neither killed by a signal nor failed";
+}
+
+// Whoever starts it may have closed them: what it says would go to the file that is opened first, or onto the bus.
+TEST(Godwitd, StandardStreamsThatAreClosedBecomeNoFileAndNoBus) {
+  const test::TempFolder folder;
+  const std::string lock = folder / "lock";
+  Daemon daemon(write_config(folder, kSmallFlight + "[can]\nbus = \"multicast:9:127.0.0.1\"\nnode_id = 44\n" +
+                                         "[link]\nstate_folder = \"" + folder.path().string() + "\"\n"),
+                false, Daemon::Log::kClosed);
+  // Kept open from the moment that the bus is there.
+  const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + 30 * rt::kNsPerSecond;
+  const auto has_lock = [&] {
+    for (int fd = 0; fd < 20; ++fd) {
+      if (daemon.open_as(fd) == lock) return true;
+    }
+    return false;
+  };
+  while (!has_lock() && rt::monotonic_now_ns() < give_up_ns) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+  ASSERT_TRUE(has_lock());
+  for (const int fd : {0, 1, 2}) EXPECT_EQ(daemon.open_as(fd), "/dev/null") << fd;
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
 
 TEST(Godwitd, WritesEachFlightDown) {
