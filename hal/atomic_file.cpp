@@ -20,38 +20,67 @@ void sync_folder_of(const std::string& file) {
   close(fd);
 }
 
+constexpr int kTries = 10;
+constexpr const char* kWritten = "another run writes it";
+
+bool is_named(int fd, const std::string& name) {
+  struct stat ours {
+  }, named{};
+  return fstat(fd, &ours) == 0 && lstat(name.c_str(), &named) == 0 && ours.st_dev == named.st_dev &&
+         ours.st_ino == named.st_ino;
+}
+
+/// What a run that was killed left behind goes, and what somebody planted: the name alone, whatever else is called by
+/// it. Why it stays, without words of `name`; null: the name is free, or was a moment ago.
+const char* make_way(const std::string& name) {
+  struct stat about {};
+  if (lstat(name.c_str(), &about) != 0) return nullptr;
+  if (S_ISLNK(about.st_mode)) {
+    unlink(name.c_str());
+    return nullptr;
+  }
+  if (!S_ISREG(about.st_mode)) return "is no plain file";
+  const int fd = ::open(name.c_str(), O_WRONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+  if (fd < 0) return errno == ENOENT ? nullptr : "is there, and not ours";
+  const bool written = flock(fd, LOCK_EX | LOCK_NB) != 0;
+  // Under the lock: whoever made it has ended, and is not about to give it its name.
+  if (!written && is_named(fd, name)) unlink(name.c_str());
+  close(fd);
+  return written ? kWritten : nullptr;
+}
+
 }  // namespace
 
 AtomicFile::~AtomicFile() {
-  if (out_ == nullptr) return;
-  std::fclose(out_);
+  if (out_ != nullptr) abandon();
+}
+
+void AtomicFile::abandon() {
+  // Under the lock: after it the name may be another run's.
   std::remove(part().c_str());
+  std::fclose(out_);
+  out_ = nullptr;
 }
 
 rt::Error AtomicFile::fail(const char* doing) {
   const int why = errno;
-  if (out_ != nullptr) {
-    std::fclose(out_);
-    out_ = nullptr;
-    std::remove(part().c_str());
-  }
+  if (out_ != nullptr) abandon();
   return {file_ + ": " + doing + ": " + std::strerror(why)};
 }
 
 rt::Result<void> AtomicFile::open(const std::string& file) {
   file_ = file;
-  struct stat about {};
-  if (lstat(part().c_str(), &about) == 0 && S_ISLNK(about.st_mode)) unlink(part().c_str());
-  const int fd = ::open(part().c_str(), O_WRONLY | O_CREAT | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
-  if (fd < 0) return fail("cannot be created");
-  const char* why = nullptr;
-  if (fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "is no plain file";
-  if (why == nullptr && flock(fd, LOCK_EX | LOCK_NB) != 0) why = "another run writes it";
-  if (why == nullptr && ftruncate(fd, 0) != 0) why = "cannot be emptied";
-  if (why != nullptr) {
+  int fd = -1;
+  // Another run that ends at this moment may take the name away between two steps.
+  for (int tries = 0; fd < 0 && tries < kTries; ++tries) {
+    if (const char* why = make_way(part()); why != nullptr) return rt::Error{part() + ": " + why};
+    fd = ::open(part().c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0644);
+    if (fd < 0 && errno != EEXIST) return fail("cannot be created");
+    if (fd < 0 || (flock(fd, LOCK_EX | LOCK_NB) == 0 && is_named(fd, part()))) continue;
     close(fd);
-    return rt::Error{part() + ": " + why};
+    fd = -1;
   }
+  if (fd < 0) return rt::Error{part() + ": " + kWritten};
   out_ = fdopen(fd, "wb");
   if (out_ == nullptr) {
     close(fd);

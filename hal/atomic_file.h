@@ -10,9 +10,10 @@
 namespace godwit::hal {
 
 /// Writes to NAME.part and renames to NAME in commit(). Whatever goes wrong before (full disk, no right to write, the
-/// process killed, a power cut) leaves no NAME, or the one that there was. What a killed run left as NAME.part is taken
-/// over, what another run writes is not; a link that somebody laid there goes, not what it leads to. The destructor
-/// removes an uncommitted NAME.part. One thread.
+/// process killed, a power cut) leaves no NAME, or the one that there was. NAME.part is a file of its
+/// own: what a killed run left there goes, and so does a link of either kind that somebody laid there, not what it
+/// leads to; what another run writes stays, and is an error. The destructor removes an uncommitted NAME.part. One
+/// thread.
 class AtomicFile {
  public:
   AtomicFile() = default;
@@ -33,6 +34,7 @@ class AtomicFile {
  private:
   std::string part() const { return file_ + ".part"; }
   rt::Error fail(const char* doing);
+  void abandon();
 
   std::string file_;
   std::FILE* out_ = nullptr;

@@ -1,43 +1,26 @@
 #include <cmath>
-#include <csignal>
 #include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
-#include <sys/resource.h>
 
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/run_writer.h"
 #include "firmware_app/output/statistics.h"
-#include "hal/atomic_file.h"
+#include "tests/support/file_size_limit.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace output_test {
 
+using test::FileSizeLimit;
 using test::read_file;
 using test::TempFolder;
 using test::write_file;
 using testing::HasSubstr;
 namespace fs = std::filesystem;
-
-/// Lets files grow to this many bytes only: writing beyond fails, as on a full disk.
-class FileSizeLimit {
- public:
-  explicit FileSizeLimit(rlim_t bytes) {
-    std::signal(SIGXFSZ, SIG_IGN);
-    getrlimit(RLIMIT_FSIZE, &before_);
-    rlimit limit = before_;
-    limit.rlim_cur = bytes;
-    setrlimit(RLIMIT_FSIZE, &limit);
-  }
-  ~FileSizeLimit() { setrlimit(RLIMIT_FSIZE, &before_); }
-
- private:
-  rlimit before_{};
-};
 
 std::vector<std::string> lines_of(const std::string& text) {
   std::vector<std::string> lines;
@@ -94,17 +77,6 @@ FrameRecord tracked_frame(std::uint32_t sequence) {
   return r;
 }
 
-TEST(AtomicFile, AppearsOnlyWhenWhole) {
-  const TempFolder folder;
-  hal::AtomicFile file;
-  ASSERT_TRUE(file.open(folder / "a.txt").ok());
-  ASSERT_TRUE(file.write("hello\n").ok());
-  EXPECT_FALSE(fs::exists(folder / "a.txt"));
-  ASSERT_TRUE(file.commit().ok());
-  EXPECT_EQ(read_file(folder / "a.txt"), "hello\n");
-  EXPECT_FALSE(fs::exists(folder / "a.txt.part"));
-}
-
 TEST(RunWriter, NamesThatAreNoTextGiveValidJson) {
   const test::TempFolder folder;
   RunWriter writer;
@@ -115,69 +87,6 @@ TEST(RunWriter, NamesThatAreNoTextGiveValidJson) {
   const auto summary = nlohmann::json::parse(read_file(folder / "summary.json"));
   const std::string sequence = summary["sequence"];
   EXPECT_EQ(sequence.find("caf\xC3\xA9 \xEF\xBF\xBD"), 0u) << sequence;
-}
-
-TEST(AtomicFile, TwoRunsDoNotMixAndALinkIsNotFollowed) {
-  const test::TempFolder folder;
-  hal::AtomicFile first, second, third;
-  ASSERT_TRUE(first.open(folder / "a").ok());
-  const auto refused = second.open(folder / "a");
-  ASSERT_FALSE(refused.ok());
-  EXPECT_THAT(refused.error().message, HasSubstr("another run writes it"));
-  ASSERT_TRUE(first.write("whole").ok());
-  ASSERT_TRUE(first.commit().ok());
-  EXPECT_EQ(read_file(folder / "a"), "whole");
-  test::write_file(folder / "b.part", "left by a run that was killed");
-  ASSERT_TRUE(second.open(folder / "b").ok());
-  ASSERT_TRUE(second.commit().ok());
-  EXPECT_EQ(read_file(folder / "b"), "");
-  test::write_file(folder / "victim", "precious");
-  std::filesystem::create_symlink(folder / "victim", folder / "c.part");
-  ASSERT_TRUE(third.open(folder / "c").ok());
-  ASSERT_TRUE(third.write("own").ok());
-  ASSERT_TRUE(third.commit().ok());
-  EXPECT_EQ(read_file(folder / "victim"), "precious");
-  EXPECT_EQ(read_file(folder / "c"), "own");
-  EXPECT_FALSE(fs::is_symlink(folder / "c"));
-}
-
-TEST(AtomicFile, LeavesNothingWhenAbandoned) {
-  const TempFolder folder;
-  {
-    hal::AtomicFile file;
-    ASSERT_TRUE(file.open(folder / "a.txt").ok());
-    ASSERT_TRUE(file.write("half").ok());
-  }
-  EXPECT_TRUE(fs::is_empty(folder.path()));
-}
-
-TEST(AtomicFile, AFullDiskIsToldAndLeavesNothing) {
-  const TempFolder folder;
-  hal::AtomicFile file;
-  ASSERT_TRUE(file.open(folder / "a.txt").ok());
-  std::string error;
-  {
-    const FileSizeLimit limit(10'000);
-    const std::string block(4096, 'x');
-    for (int i = 0; i < 100 && error.empty(); ++i) {
-      const auto written = file.write(block);
-      if (!written.ok()) error = written.error().message;
-    }
-  }
-  EXPECT_THAT(error, HasSubstr("a.txt: cannot be written: File too large"));
-  EXPECT_TRUE(fs::is_empty(folder.path()));
-}
-
-TEST(AtomicFile, AFailureInTheLastFlushIsTold) {
-  const TempFolder folder;
-  hal::AtomicFile file;
-  ASSERT_TRUE(file.open(folder / "a.txt").ok());
-  ASSERT_TRUE(file.write("buffered").ok()) << "still in memory";
-  const FileSizeLimit limit(3);
-  const auto committed = file.commit();
-  ASSERT_FALSE(committed.ok());
-  EXPECT_THAT(committed.error().message, HasSubstr("cannot be written"));
-  EXPECT_TRUE(fs::is_empty(folder.path()));
 }
 
 TEST(Statistics, PercentilesInterpolateAsNumpy) {
