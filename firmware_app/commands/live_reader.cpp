@@ -53,7 +53,7 @@ rt::Result<std::string> LiveReader::next(const std::atomic<bool>& stop) {
     pollfd waiting{fd_, POLLIN, 0};
     if (poll(&waiting, 1, 100) <= 0) continue;
     const ssize_t n = recv(fd_, block.data(), block.size(), 0);
-    if (n < 0 && errno == EINTR) continue;
+    if (n < 0 && (errno == EINTR || errno == EAGAIN)) continue;
     if (n <= 0) return rt::Error{"godwitd has ended"};
     const std::size_t before = text_.size();
     text_.append(block.data(), static_cast<std::size_t>(n));

@@ -37,15 +37,28 @@ bool address_of(const std::string& socket, sockaddr_un* address) {
   return true;
 }
 
+/// Does not wait. Below zero: *why is errno; ECONNREFUSED: nobody serves it, EAGAIN: too many wait for whoever does.
+int try_connect(const std::string& socket, int* why) {
+  sockaddr_un address{};
+  *why = ENAMETOOLONG;
+  if (!address_of(socket, &address)) return -1;
+  const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd >= 0 && ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0) return fd;
+  *why = errno;
+  if (fd >= 0) ::close(fd);
+  return -1;
+}
+
 /// Makes the place free where a program that has died left its socket.
 rt::Result<void> clear(const std::string& socket) {
   struct stat about {};
   if (::lstat(socket.c_str(), &about) != 0) return {};
   if (!S_ISSOCK(about.st_mode)) return rt::Error{socket + ": is there, and no socket"};
-  if (const auto other = connect_live(socket); other.ok()) {
-    ::close(other.value());
-    return rt::Error{socket + ": another program serves it"};
-  }
+  int why = 0;
+  const int other = try_connect(socket, &why);
+  if (other >= 0) ::close(other);
+  // One that hangs takes nobody any more, and it is still its socket.
+  if (other >= 0 || why != ECONNREFUSED) return rt::Error{socket + ": another program serves it"};
   if (::unlink(socket.c_str()) != 0) return error_of(socket, "cannot be removed");
   return {};
 }
@@ -221,14 +234,12 @@ LiveServer::~LiveServer() {
 }
 
 rt::Result<int> connect_live(const std::string& socket) {
-  sockaddr_un address{};
-  if (!address_of(socket, &address)) return rt::Error{"\"" + socket + "\" is no name for a socket: 1 to 107 bytes are"};
-  const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  if (fd < 0) return error_of(socket, "no socket to be had");
-  if (::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0) return fd;
-  const int why = errno;
-  ::close(fd);
+  int why = 0;
+  const int fd = try_connect(socket, &why);
+  if (fd >= 0) return fd;
+  if (why == ENAMETOOLONG) return rt::Error{"\"" + socket + "\" is no name for a socket: 1 to 107 bytes are"};
   if (why == ENOENT || why == ECONNREFUSED) return rt::Error{socket + ": no godwitd serves it"};
+  if (why == EAGAIN) return rt::Error{socket + ": a godwitd serves it, and takes nobody: it hangs"};
   errno = why;
   return error_of(socket, "cannot be read");
 }

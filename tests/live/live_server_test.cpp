@@ -11,6 +11,7 @@
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
+#include <vector>
 
 #include "hal/rt/wake_up.h"
 #include "tests/support/temp_folder.h"
@@ -155,6 +156,29 @@ TEST(LiveServer, WhatADeadProgramLeftIsReplacedAndALivingOneIsNot) {
   ASSERT_TRUE(reader.ok());
   EXPECT_NE(line_of(reader.value()), "") << "the first one's socket is still there";
   close(reader.value());
+}
+
+// A connection to a program that takes none waits for ever, and so would its successor's start.
+TEST(LiveServer, OneThatHangsHoldsNobodyUpAndKeepsItsSocket) {
+  const test::TempFolder folder;
+  const std::string path = folder / "live";
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  path.copy(address.sun_path, sizeof address.sun_path - 1);
+  const int hanging = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  ASSERT_EQ(bind(hanging, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  ASSERT_EQ(listen(hanging, 0), 0);
+  std::vector<int> waiting;
+  for (auto one = connect_live(path); one.ok() && waiting.size() < 100; one = connect_live(path))
+    waiting.push_back(one.value());
+  EXPECT_LT(waiting.size(), 100u);
+  EXPECT_THAT(connect_live(path).error().message, HasSubstr("takes nobody"));
+  const auto second = LiveServer::start(options(path));
+  ASSERT_FALSE(second.ok());
+  EXPECT_THAT(second.error().message, HasSubstr("another program serves it"));
+  EXPECT_TRUE(fs::exists(path));
+  for (const int fd : waiting) close(fd);
+  close(hanging);
 }
 
 TEST(LiveServer, WhatIsNoSocketIsLeftAlone) {
