@@ -180,8 +180,14 @@ void LinkRunner::watch(const link::LinkStatus& s) {
                                      std::to_string(s.mavlink.foreign_system) + ", component " +
                                      std::to_string(s.mavlink.foreign_component));
   }
-  if (s.own_id_heard && !told_.own_id_heard) {
-    tell(LinkLogLevel::kWarning, "another node speaks under our node id " + std::to_string(s.node_id));
+  if (s.port_gone != told_.port_gone) {
+    tell(s.port_gone ? LinkLogLevel::kWarning : LinkLogLevel::kInfo,
+         s.port_gone ? "the MAVLink port is not there; it is looked for once a second" : "the MAVLink port is there");
+  }
+  if (s.own_id_heard != told_.own_id_heard) {
+    tell(s.own_id_heard ? LinkLogLevel::kWarning : LinkLogLevel::kInfo,
+         (s.own_id_heard ? "another node speaks under our node id " : "no other node speaks any more under our id ") +
+             std::to_string(s.node_id));
   }
   if (s.latency.grew && !told_.latency.grew) {
     tell(LinkLogLevel::kWarning, "the latency grew: set VISO_DELAY_MS anew, or find what slows this computer down");

@@ -17,10 +17,38 @@
 namespace godwit::link {
 namespace {
 
+/// What is not there is looked for so often.
+constexpr rt::TimeNs kLookNs = rt::kNsPerSecond;
+
+/// Without a way to the other end, as before the network is up, it is gone.
 class UdpPort final : public BytePort {
  public:
-  explicit UdpPort(int fd) : fd_(fd) {}
-  ~UdpPort() override { close(fd_); }
+  UdpPort(const sockaddr_in& to, std::uint16_t local) : to_(to), local_(local) {}
+  ~UdpPort() override {
+    if (fd_ >= 0) close(fd_);
+  }
+
+  static std::string name() { return ""; }
+  /// Null: it is open; else what failed, with errno. No allocation.
+  const char* reopen() {
+    const int fd = socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    if (fd < 0) return "socket";
+    sockaddr_in from{};
+    from.sin_family = AF_INET;
+    from.sin_port = htons(local_);
+    const char* failed = nullptr;
+    if (local_ != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) failed = "bind";
+    if (failed == nullptr && connect(fd, reinterpret_cast<const sockaddr*>(&to_), sizeof to_) != 0) failed = "connect";
+    if (failed != nullptr) {
+      const int why = errno;
+      close(fd);
+      errno = why;
+      return failed;
+    }
+    fd_ = fd;
+    return nullptr;
+  }
+
   bool send(std::span<const std::uint8_t> message, TxClass) override {
     return ::send(fd_, message.data(), message.size(), MSG_DONTWAIT) == static_cast<ssize_t>(message.size());
   }
@@ -30,9 +58,18 @@ class UdpPort final : public BytePort {
     return n > 0 ? static_cast<std::size_t>(n) : 0;
   }
   int descriptor() const override { return fd_; }
+  void maintain(rt::TimeNs now_ns) override {
+    if (fd_ >= 0 || now_ns < t_next_try_ns_) return;
+    t_next_try_ns_ = now_ns + kLookNs;
+    static_cast<void>(reopen() == nullptr);
+  }
+  bool gone() const override { return fd_ < 0; }
 
  private:
-  int fd_;
+  const sockaddr_in to_;
+  const std::uint16_t local_;
+  int fd_ = -1;
+  rt::TimeNs t_next_try_ns_ = 0;
 };
 
 /// A device that is unplugged or whose driver goes away answers with an end or an error for ever: it is closed, so that
@@ -43,6 +80,7 @@ class SerialPort final : public BytePort {
       : device_(std::move(device)), speed_(speed), baud_rate_(baud_rate) {}
   ~SerialPort() override { leave(); }
 
+  const std::string& name() const { return device_; }
   /// Null: it is open; else what failed, with errno. No allocation.
   const char* reopen() {
     const int fd = open(device_.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
@@ -94,7 +132,7 @@ class SerialPort final : public BytePort {
   int descriptor() const override { return fd_; }
   void maintain(rt::TimeNs now_ns) override {
     if (fd_ >= 0 || now_ns < t_next_try_ns_) return;
-    t_next_try_ns_ = now_ns + rt::kNsPerSecond;
+    t_next_try_ns_ = now_ns + kLookNs;
     if (access(device_.c_str(), F_OK) == 0) static_cast<void>(reopen() == nullptr);
   }
   bool gone() const override { return fd_ < 0; }
@@ -170,15 +208,17 @@ rt::Result<Address> parse(const std::string& address) {
     out.local = static_cast<std::uint16_t>(local);
     return out;
   }
-  if (parts[0] == "serial" && parts.size() == 3 && !parts[1].empty()) {
+  if (parts[0] == "serial" && parts.size() >= 3 && !parts[1].empty()) {
     unsigned baud = 0;
-    const bool is_number = number(parts[2], 10000000, &baud);
+    const bool is_number = number(parts.back(), 10000000, &baud);
     const auto* rate =
         std::find_if(kBaudRates.begin(), kBaudRates.end(), [&](const auto& r) { return r.first == baud; });
     if (!is_number || rate == kBaudRates.end()) {
       return wrong(address, "the baud rate must be 57600, 115200, 230400, 460800, 500000, 921600 or 1500000");
     }
-    out.device = parts[1];
+    // Names by path hold colons: /dev/serial/by-path/platform-3610000.usb-usb-0:2.1:1.0-port0
+    const std::size_t begin = parts[0].size() + 1;
+    out.device = address.substr(begin, address.size() - parts.back().size() - 1 - begin);
     out.baud_rate = rate->second;
     out.baud = baud;
     return out;
@@ -186,37 +226,27 @@ rt::Result<Address> parse(const std::string& address) {
   return wrong(address, "expected udp:HOST:PORT[:LOCALPORT] or serial:DEVICE:BAUD");
 }
 
-rt::Result<std::unique_ptr<BytePort>> open_udp(const std::string& address, const Address& a) {
-  const int fd = socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-  if (fd < 0) return wrong(address, std::strerror(errno));
-  auto self = std::make_unique<UdpPort>(fd);
-  sockaddr_in from{};
-  from.sin_family = AF_INET;
-  from.sin_port = htons(a.local);
-  if (a.local != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) {
-    return wrong(address, "bind: " + std::string(std::strerror(errno)));
+/// One that cannot be opened is gone where somebody waits for it, unless it is another kind of device, or the port's
+/// number is taken.
+template <typename Port>
+rt::Result<std::unique_ptr<BytePort>> opened(const std::string& address, std::unique_ptr<Port> port, bool wait_for_it) {
+  const char* const failed = port->reopen();
+  const int why = errno;
+  const bool never = why == ENOTTY || why == EADDRINUSE;
+  if (failed != nullptr && (never || !wait_for_it)) {
+    return wrong(address, port->name() + failed + ": " + std::strerror(why));
   }
-  if (connect(fd, reinterpret_cast<const sockaddr*>(&a.to), sizeof a.to) != 0) {
-    return wrong(address, std::strerror(errno));
-  }
-  return std::unique_ptr<BytePort>(std::move(self));
-}
-
-rt::Result<std::unique_ptr<BytePort>> open_serial(const std::string& address, const Address& a) {
-  auto self = std::make_unique<SerialPort>(a.device, a.baud_rate, a.baud);
-  if (const char* failed = self->reopen(); failed != nullptr) {
-    return wrong(address, a.device + failed + ": " + std::strerror(errno));
-  }
-  return std::unique_ptr<BytePort>(std::move(self));
+  return std::unique_ptr<BytePort>(std::move(port));
 }
 
 }  // namespace
 
-rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address) {
+rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address, bool wait_for_it) {
   const auto parsed = parse(address);
   if (!parsed.ok()) return parsed.error();
   const Address& a = parsed.value();
-  return a.to.sin_port != 0 ? open_udp(address, a) : open_serial(address, a);
+  if (a.to.sin_port != 0) return opened(address, std::make_unique<UdpPort>(a.to, a.local), wait_for_it);
+  return opened(address, std::make_unique<SerialPort>(a.device, a.baud_rate, a.baud), wait_for_it);
 }
 
 rt::Result<void> check_byte_port_address(const std::string& address) {

@@ -23,18 +23,20 @@ class BytePort {
   virtual void flush() = 0;
   /// Bytes that came, at most into.size(); 0 where there are none.
   virtual std::size_t receive(std::span<std::uint8_t> into) = 0;
-  /// To wait on; -1 while the device is gone.
+  /// To wait on; -1 while it is gone.
   virtual int descriptor() const = 0;
-  /// Once a step: tries to open a device again that went away, once a second. One open() and what sets it.
-  virtual void maintain(rt::TimeNs /*now_ns*/) {}
-  virtual bool gone() const { return false; }
+  /// Once a step: tries to open again what went away, once a second. One open() and what sets it.
+  virtual void maintain(rt::TimeNs now_ns) = 0;
+  /// The device is not there, or there is no way to the other end.
+  virtual bool gone() const = 0;
   /// Of a serial line; 0: it is none.
   virtual double baud_rate() const { return 0; }
 };
 
 /// "udp:HOST:PORT" (HOST an IPv4 address; answers are taken from there alone; "udp:HOST:PORT:LOCALPORT" binds) or
-/// "serial:DEVICE:BAUD". The error names what was wrong.
-rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address);
+/// "serial:DEVICE:BAUD". The error names what was wrong. wait_for_it: a device that is not there yet, or a network that
+/// is not up, is no error but a port that is gone, and is looked for.
+rt::Result<std::unique_ptr<BytePort>> open_byte_port(const std::string& address, bool wait_for_it = false);
 
 /// Whether open_byte_port would understand this address; opens nothing.
 rt::Result<void> check_byte_port_address(const std::string& address);

@@ -224,6 +224,7 @@ void LinkNode::step(rt::TimeNs now_ns) {
     t_next_second_ns_ = now_ns + rt::kNsPerSecond;
   }
   receive(now_ns);
+  status_.own_id_heard = t_own_id_ns_ != 0 && now_ns - t_own_id_ns_ <= kNodeGoneNs;
   ports_.health->read(&health_);
   move_poses(now_ns);
   resets_.reserve(ports_.storage);
@@ -257,6 +258,7 @@ void LinkNode::fill_status(rt::TimeNs now_ns) {
   status_.round_trip_ms = rt::to_ms(endpoint_.time_sync().round_trip_ns());
   status_.reception = reassembler_.counters();
   status_.mavlink = endpoint_.counters();
+  status_.port_gone = ports_.bytes != nullptr && ports_.bytes->gone();
   if (ports_.bus == nullptr) return;
   status_.has_bus = true;
   status_.bus = ports_.bus->counters();

@@ -66,7 +66,7 @@ struct LinkStatus {
   std::uint8_t reset_counter = 0;
   LatencySummary latency;
   double round_trip_ms = 0;
-  bool own_id_heard = false;  ///< another node speaks under our id
+  bool own_id_heard = false;  ///< another node speaks under our id, or did within kNodeGoneNs
   bool synchronised = false;  ///< by TIMESYNC; without it the latency lacks the way to the autopilot
   /// Our own share: from a pose given to the link to its last frame handed to the bus.
   std::size_t own_samples = 0;
@@ -84,6 +84,7 @@ struct LinkStatus {
   dronecan::ReassemblyCounters reception;
   hal::CanCounters bus;
   hal::CanState bus_state = hal::CanState::kGone;
+  bool port_gone = false;  ///< the MAVLink port is not there; it is looked for
   mavlink::EndpointCounters mavlink;
 };
 
@@ -124,6 +125,8 @@ class LinkNode {
   const ParameterSet& parameters() const { return parameters_; }
 
   static constexpr int kMaxFramesPerStep = 256;
+  /// A node that has not spoken for so long is none (UAVCAN's NodeStatus.OFFLINE_TIMEOUT_MS).
+  static constexpr rt::TimeNs kNodeGoneNs = 3 * rt::kNsPerSecond;
 
  private:
   LinkNode(const LinkConfig& config, const LinkPorts& ports, const StoredState& stored);
@@ -168,6 +171,7 @@ class LinkNode {
   bool pose_waits_ = false;  // hold_'s pose is due and not sent yet
   rt::TimeNs t_next_second_ns_ = 0;
   bool restart_due_ = false;
+  rt::TimeNs t_own_id_ns_ = 0;  // when another node spoke under our id; 0: never
   LinkStatus status_;
 };
 

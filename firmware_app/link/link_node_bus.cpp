@@ -30,7 +30,7 @@ void LinkNode::take_transfer(const dronecan::Transfer& transfer, rt::TimeNs now_
   const bool message = transfer.kind == dronecan::TransferKind::kMessage;
   if (message && transfer.type_id == dronecan::NodeStatus::kType.id) {
     // A bus gives nobody his own frames back.
-    status_.own_id_heard = status_.own_id_heard || (transfer.source != 0 && transfer.source == node_.node_id());
+    if (transfer.source != 0 && transfer.source == node_.node_id()) t_own_id_ns_ = now_ns;
     return;
   }
   if (message && transfer.source != 0) {

@@ -29,7 +29,7 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
     self->bus_ = std::move(bus).value();
   }
   if (!settings.mavlink.empty()) {
-    auto port = open_byte_port(settings.mavlink);
+    auto port = open_byte_port(settings.mavlink, settings.wait_for_bus);
     if (!port.ok()) return port.error();
     self->bytes_ = std::move(port).value();
   }

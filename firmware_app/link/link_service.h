@@ -18,7 +18,7 @@ struct LinkSettings {
   /// for, which the link itself reads.
   bool collect_inputs = false;
   LinkConfig link;                      ///< identity.unique_id all zeros: that of this computer
-  bool wait_for_bus = false;            ///< an interface that is not there yet is looked for, not refused
+  bool wait_for_bus = false;            ///< an interface or port that is not there yet is looked for, not refused
   DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
 

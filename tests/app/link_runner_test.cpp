@@ -4,10 +4,13 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <mutex>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include "hal/rt/wake_up.h"
+#include "tests/link/serial_line.h"
+#include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
@@ -160,6 +163,42 @@ TEST_F(LinkRunnerTest, ALinkThreadThatHangsIsNamedAndKeepsNoEndAway) {
   EXPECT_STREQ(heartbeats_.silent(rt::monotonic_now_ns()).name, "gw-link");
   runner_->finish();
   EXPECT_EQ(abandoned_, "gw-link");
+}
+
+TEST(LinkRunner, APortThatIsNotThereAtBootOrGoesIsTold) {
+  const test::TempFolder folder;
+  test::SerialLine line(folder / "tty");
+  line.unplug();
+  std::mutex mutex;
+  std::string said;
+  LinkRunnerOptions options;
+  options.settings.mavlink = "serial:" + line.name + ":115200";
+  options.settings.wait_for_bus = true;
+  options.settings.link.identity.unique_id = {1, 2, 3};
+  options.log = [&](LinkLogLevel, const std::string& text) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    said += text + "\n";
+  };
+  const std::atomic<bool> stop{false};
+  auto started = LinkRunner::start(options, stop);
+  ASSERT_TRUE(started.ok()) << started.error().message;
+  const auto hears = [&](const std::string& words) {
+    const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + 30 * rt::kNsPerSecond;
+    while (rt::monotonic_now_ns() < give_up_ns) {
+      {
+        const std::lock_guard<std::mutex> lock(mutex);
+        const std::size_t at = said.find(words);
+        if (at != std::string::npos) return said.erase(0, at + words.size()), true;
+      }
+      rt::sleep_until_ns(rt::monotonic_now_ns() + 10 * rt::kNsPerMs);
+    }
+    return false;
+  };
+  EXPECT_TRUE(hears("the MAVLink port is not there; it is looked for"));
+  line.plug();
+  EXPECT_TRUE(hears("the MAVLink port is there"));
+  line.unplug();
+  EXPECT_TRUE(hears("the MAVLink port is not there; it is looked for"));
 }
 
 TEST(LinkReport, WhereThereIsNoBusNothingIsSaidOfOne) {

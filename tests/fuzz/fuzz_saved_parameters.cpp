@@ -19,6 +19,8 @@ class NoPort final : public BytePort {
   void flush() override {}
   std::size_t receive(std::span<std::uint8_t>) override { return 0; }
   int descriptor() const override { return -1; }
+  void maintain(rt::TimeNs) override {}
+  bool gone() const override { return false; }
 };
 
 void check(bool holds) {

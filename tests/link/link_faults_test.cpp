@@ -222,6 +222,8 @@ TEST(LinkFaults, AnotherNodeUnderOurIdIsAnError) {
   h.run(0.1);
   EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kError);
   EXPECT_EQ(h.link->status().condition.reasons & kSameNodeId, kSameNodeId);
+  h.run(3.5);
+  EXPECT_EQ(h.link->status().condition.health, dronecan::NodeHealth::kOk) << "it has gone";
 }
 
 TEST(LinkFaults, AFullQueueDropsWholePosesNeverBytes) {
