@@ -50,6 +50,16 @@ TEST(MachineMonitor, AJetsonsConstantZoneIsNoTemperature) {
   EXPECT_EQ(monitor.zones(), "ao-therm, cpu-therm, gpu-therm");
 }
 
+TEST(MachineMonitor, WhereNoZoneIsTheProcessorsAConstantOneDoesNotCountEither) {
+  const TempFolder sys;
+  write_file(sys / "class/thermal/thermal_zone0/type", "PMIC-Die\n");
+  write_file(sys / "class/thermal/thermal_zone0/temp", "100000\n");
+  EXPECT_TRUE(std::isnan(MachineMonitor(sys.path()).read().temperature_c));
+  write_file(sys / "class/thermal/thermal_zone1/type", "board\n");
+  write_file(sys / "class/thermal/thermal_zone1/temp", "40000\n");
+  EXPECT_DOUBLE_EQ(MachineMonitor(sys.path()).read().temperature_c, 40);
+}
+
 TEST(MachineMonitor, ProcessorsSlowedDownAreThrottlingAFanIsNot) {
   const TempFolder sys;
   write_file(sys / "class/thermal/cooling_device0/type", "pwm-fan\n");
