@@ -71,13 +71,18 @@ Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidVi
   return out;
 }
 
-bool shows_nothing(const Thumbnail& thumbnail) {
-  int squares = 0, cells = 0;
-  for (std::size_t i = 0; i < Thumbnail::kCells; ++i) {
-    squares += thumbnail.valid[i] * thumbnail.value[i] * thumbnail.value[i];
-    cells += thumbnail.valid[i];
+bool shows_nothing(const rt::PyramidView& pyramid) {
+  const rt::ImageView& image = pyramid.level[static_cast<std::size_t>(std::min(2, pyramid.levels - 1))];
+  std::int64_t sum = 0, squares = 0;
+  for (int y = 0; y < image.height; ++y) {
+    const std::uint8_t* row = image.row(y);
+    for (int x = 0; x < image.width; ++x) {
+      sum += row[x];
+      squares += row[x] * row[x];
+    }
   }
-  return squares < cells || cells == 0;
+  const auto n = static_cast<std::int64_t>(image.width) * image.height;
+  return n * squares - sum * sum < n * n;
 }
 
 ThumbnailMatch match_thumbnails(const Thumbnail& ref, const Thumbnail& cur) {

@@ -168,7 +168,7 @@ FrameResult Tracker::track(const FrameInput& in) {
     evidence.kind = locate(in, &frame, &result);
     evidence.expected = frame.expected.known;
     if (evidence.kind == FrameEvidence::Kind::kNoPose) {
-      evidence.shows_nothing = shows_nothing(make_thumbnail(frame.pyramid, frame.mask, 0.0));
+      evidence.shows_nothing = shows_nothing(frame.pyramid);
       retire(&frame);
     } else {
       take_pose(evidence.kind, &frame, &result);

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 #include <memory>
+#include <random>
 #include <vector>
 
 #include "tests/vo_core/synthetic_scene.h"
@@ -51,9 +52,21 @@ TEST(Thumbnail, LooksLikeItselfAndNotLikeFlatGrey) {
   EXPECT_LT(match_thumbnails(t, flat).correlation, 0.0f);
 }
 
-TEST(Thumbnail, DarknessAndFlatGreyShowNothing) {
-  EXPECT_FALSE(shows_nothing(make_thumbnail(View{SE3()}.pyramid, {}, 0)));
-  EXPECT_TRUE(shows_nothing(make_thumbnail(View{SE3(), 0.0, 3.0}.pyramid, {}, 0)));
+TEST(Thumbnail, DarknessAndFlatGreyShowNothingButGravelDoes) {
+  EXPECT_FALSE(shows_nothing(View{SE3()}.pyramid));
+  View v{SE3(), 0.0, 3.0};
+  const auto shown = [&] {
+    return !shows_nothing(build_pyramid(v.picture.view(), rt::kPyramidLevels, v.storage.data(), v.storage.size()));
+  };
+  EXPECT_FALSE(shown());
+  v.picture.add_noise(2.0, 1);
+  EXPECT_FALSE(shown()) << "a sensor's noise in the dark";
+  std::minstd_rand engine(5);
+  for (int y = 0; y < 240; y += 3) {
+    for (int x = 0; x < 320; x += 3)
+      v.picture.fill_rectangle(x, y, x + 3, y + 3, static_cast<std::uint8_t>(80 + engine() % 40));
+  }
+  EXPECT_TRUE(shown()) << "gravel";
 }
 
 TEST(Thumbnail, WhatMovesIsLeftOut) {
