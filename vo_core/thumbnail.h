@@ -22,9 +22,9 @@ struct Thumbnail {
 /// what lies at Rot(roll) x in the picture. Cells with dynamic pixels are not valid. No allocation.
 Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, double roll_rad);
 
-/// A picture in which nothing could be found: on the pyramid's level 2 its pixels differ by less than a grey level, root
-/// mean square. A covered lens, darkness: there the noise is that of 16 pixels' mean. Not of cells: gravel is as flat as
-/// darkness in a thumbnail.
+/// A picture in which nothing could be found: on the pyramid's level 2 its pixels differ by less than a grey level,
+/// root mean square. A covered lens, darkness: there the noise is that of 16 pixels' mean. Not of cells: gravel is as
+/// flat as darkness in a thumbnail.
 bool shows_nothing(const rt::PyramidView& pyramid);
 
 struct ThumbnailMatch {
