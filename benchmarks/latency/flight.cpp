@@ -54,12 +54,12 @@ class Watchers {
     wanted_ = true;
     log_ = app::begin_flight_log(config, say);
     if (const std::string events = app::events_folder(config); !events.empty()) {
-      auto started = app::start_recorder(config, events, calibration, pool, true, say);
+      auto started = app::start_recorder(config, events, calibration, pool, true, say, nullptr);
       if (!started) return started.error();
       recorder_ = std::move(started).value();
       options->onlooker = recorder_->onlooker();
     }
-    server_ = app::begin_live(config, &live_, picture, say);
+    server_ = app::begin_live(config, &live_, picture, say, nullptr);
     return {};
   }
   void frame(const app::FrameRecord& record) {

@@ -4,6 +4,7 @@
 #include <pthread.h>
 
 #include "firmware_app/config/link_settings.h"
+#include "firmware_app/output/patient_end.h"
 #include "hal/rt/rt_scope.h"
 #include "hal/rt/wake_up.h"
 
@@ -73,22 +74,15 @@ LinkRunner::~LinkRunner() {
   finish();
 }
 
-void LinkRunner::await_end(const std::atomic<bool>& ended, const char* thread, rt::TimeNs give_up_ns) const {
-  while (options_.abandon && !ended.load(std::memory_order_acquire)) {
-    if (rt::monotonic_now_ns() > give_up_ns) options_.abandon(thread);
-    rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
-  }
-}
-
 const link::LinkStatus& LinkRunner::finish() {
   ending_.store(true, std::memory_order_relaxed);
   const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + kEndPatienceNs;
   if (link_thread_.running()) {
-    await_end(link_ended_, "gw-link", give_up_ns);
+    await_end(link_ended_, options_.abandon, "gw-link", give_up_ns - rt::monotonic_now_ns());
     link_thread_.join();
   }
   if (keeper_thread_.joinable()) {
-    await_end(keeper_ended_, "gw-link-keep", give_up_ns);
+    await_end(keeper_ended_, options_.abandon, "gw-link-keep", give_up_ns - rt::monotonic_now_ns());
     keeper_thread_.join();
   }
   service_->take_status(&status_);

@@ -82,7 +82,6 @@ class LinkRunner final : public FrameTap {
   rt::Result<void> start_threads();
   void run_link();
   void run_keeper();
-  void await_end(const std::atomic<bool>& ended, const char* thread, rt::TimeNs give_up_ns) const;
   void watch(const link::LinkStatus& status);
   void look_at_machine(rt::TimeNs now_ns);
   void tell(LinkLogLevel level, const std::string& text) const;

@@ -144,7 +144,9 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   plan_pipeline(config, calibration.fps, &pipeline);
   std::unique_ptr<EventRecorder> recorder;
   if (!plan.events.empty()) {
-    auto started = start_recorder(config, plan.events, calibration, parts.pool.get(), pipeline.newest_frame, say);
+    const bool live = pipeline.newest_frame;  // else it waits for the disc, and is waited for
+    auto started = start_recorder(config, plan.events, calibration, parts.pool.get(), live, say,
+                                  live ? pipeline.abandon : nullptr);
     if (!started) return refuse(started.error().message);
     recorder = std::move(started).value();
     pipeline.onlooker = recorder->onlooker();

@@ -191,7 +191,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config, say);
   std::unique_ptr<EventRecorder> recorder;
   if (!events.empty()) {
-    auto started = start_recorder(config, events, calibration, parts.pool.get(), true, say);
+    auto started = start_recorder(config, events, calibration, parts.pool.get(), true, say, abandon);
     if (!started) return give_up(started.error().message);
     recorder = std::move(started).value();
     options.onlooker = recorder->onlooker();
@@ -202,7 +202,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   Live live{LiveStatus({version_words(version()), autopilot != nullptr ? std::function<int()>(quality) : nullptr,
                         &live_machine}),
             {}};
-  const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get(), say);
+  const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get(), say, abandon);
   Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   if (!run) return give_up(run.error().message);

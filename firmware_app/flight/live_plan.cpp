@@ -33,10 +33,12 @@ std::unique_ptr<LivePicture> live_picture(const Config& config, int width, int h
   return may_be_looked_at(config) ? std::make_unique<LivePicture>(width, height) : nullptr;
 }
 
-std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture, const Say& say) {
+std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture, const Say& say,
+                                       std::function<void(const char*)> abandon) {
   if (!may_be_looked_at(config)) return nullptr;
   LiveServerOptions options;
   options.socket = config.live.socket;
+  options.abandon = std::move(abandon);
   options.line = [live] { return live->status.snapshot(rt::monotonic_now_ns()); };
   options.view = [live, picture](std::string* lines) {
     const rt::TimeNs now_ns = rt::monotonic_now_ns();

@@ -30,6 +30,8 @@ std::unique_ptr<FlightLog> begin_flight_log(const Config& config, const Say& say
 std::unique_ptr<LivePicture> live_picture(const Config& config, int width, int height);
 
 /// Null: nobody may look, or it cannot be had, which grounds nobody. picture: of live_picture(); both outlive it.
-std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture, const Say& say);
+/// abandon: see LiveServerOptions.
+std::unique_ptr<LiveServer> begin_live(const Config& config, Live* live, LivePicture* picture, const Say& say,
+                                       std::function<void(const char*)> abandon);
 
 }  // namespace godwit::app

@@ -16,7 +16,8 @@ std::string events_folder(const Config& config) {
 rt::Result<std::unique_ptr<EventRecorder>> start_recorder(const Config& config, const std::string& folder,
                                                           const hal::CameraCalibration& calibration,
                                                           rt::FramePool* pool, bool live,
-                                                          std::function<void(const std::string&)> say) {
+                                                          std::function<void(const std::string&)> say,
+                                                          std::function<void(const char*)> abandon) {
   EventRecorderOptions options;
   options.folder = folder;
   options.before_s = config.recorder.before_s;
@@ -27,6 +28,7 @@ rt::Result<std::unique_ptr<EventRecorder>> start_recorder(const Config& config, 
   options.calibration = calibration;
   options.live = live;
   options.say = std::move(say);
+  options.abandon = std::move(abandon);
   std::string text;
   for (const std::string& line : show_config(config)) text += line + "\n";
   options.info.emplace_back("version", version_words(version()));

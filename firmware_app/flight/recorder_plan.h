@@ -20,7 +20,8 @@ std::string events_folder(const Config& config);
 rt::Result<std::unique_ptr<EventRecorder>> start_recorder(const Config& config, const std::string& folder,
                                                           const hal::CameraCalibration& calibration,
                                                           rt::FramePool* pool, bool live,
-                                                          std::function<void(const std::string&)> say);
+                                                          std::function<void(const std::string&)> say,
+                                                          std::function<void(const char*)> abandon);
 
 /// "2 events written, 0 not, ..": no word that a look for trouble in the journal would find.
 std::string recorder_words(const EventReport& report);

@@ -6,9 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
-#include <csignal>
 #include <cstring>
-#include <ctime>
 #include <fmt/format.h>
 #include <mutex>
 #include <sys/resource.h>
@@ -18,6 +16,8 @@
 #include "firmware_app/output/detached_thread.h"
 #include "firmware_app/output/event_folder.h"
 #include "firmware_app/output/event_ring.h"
+#include "firmware_app/output/event_signal.h"
+#include "firmware_app/output/patient_end.h"
 #include "hal/camera/calibration_toml.h"
 
 namespace godwit::app {
@@ -31,6 +31,7 @@ constexpr auto kDiscPatience = std::chrono::seconds(60);
 /// Not live: pictures that may be copied before it is heard what became of them, or what is kept before an event would
 /// be gone when that is told.
 constexpr std::uint32_t kAhead = 8;
+constexpr rt::TimeNs kCopierPatienceNs = 2 * rt::kNsPerSecond;  // it has a few pictures left
 constexpr std::size_t kWaiting = 2;     // events that wait for the disc, and one that is being written
 constexpr std::size_t kMostCauses = 8;  // of one event
 constexpr double kUsualFps = 30;
@@ -66,6 +67,7 @@ struct EventRecorder::State {
   rt::FramePool* const pool;  // the copier's only: gone after finish()
   Onlooker onlooker;
   std::atomic<bool> flight_over{false};  // release: all was shown before; partner: the acquire load in copy()
+  std::atomic<bool> copied{false};       // the copier has nothing left to do
 
   mutable std::mutex mutex;
   std::condition_variable change;
@@ -94,13 +96,6 @@ struct EventRecorder::State {
     if (options.say) options.say(line);
   }
 };
-
-void block_event_signal() {
-  sigset_t set;
-  sigemptyset(&set);
-  sigaddset(&set, SIGUSR1);
-  pthread_sigmask(SIG_BLOCK, &set, nullptr);
-}
 
 /// Under the lock: which pictures must stay.
 void EventRecorder::State::hold() {
@@ -196,12 +191,7 @@ void EventRecorder::State::keep(const rt::FrameHandle& frame) {
 }
 
 void EventRecorder::State::look_for_signal() {
-  if (!options.by_signal) return;
-  sigset_t set;
-  sigemptyset(&set);
-  sigaddset(&set, SIGUSR1);
-  const timespec now{};
-  if (sigtimedwait(&set, nullptr, &now) != SIGUSR1) return;
+  if (!options.by_signal || !take_event_signal()) return;
   const std::lock_guard<std::mutex> lock(mutex);
   const rt::TimeNs t_ns =
       ring->next() > ring->first() ? ring->meta(ring->next() - 1).t_capture_ns : rt::monotonic_now_ns();
@@ -231,6 +221,7 @@ void EventRecorder::State::copy() {
   const std::lock_guard<std::mutex> lock(mutex);
   close();
   ending = true;
+  copied.store(true, std::memory_order_release);
   change.notify_all();
 }
 
@@ -370,7 +361,10 @@ EventReport EventRecorder::finish(rt::TimeNs patience_ns) noexcept {
       state_->change.notify_all();
     }
     state_->onlooker.wake.post();
-    if (copier_.running()) copier_.join();
+    if (copier_.running()) {
+      await_end(state_->copied, state_->options.abandon, "gw-events", kCopierPatienceNs);
+      copier_.join();
+    }
     std::unique_lock<std::mutex> lock(state_->mutex);
     state_->change.wait_for(lock, std::chrono::nanoseconds(patience_ns), [this] { return state_->writer_ended; });
     if (!state_->writer_ended && !state_->abandoned) {

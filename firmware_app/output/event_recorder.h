@@ -34,6 +34,9 @@ struct EventRecorderOptions {
   std::vector<std::pair<std::string, std::string>> info;
   /// What is to be told: each event, why one was not written. Any thread that may allocate and lock.
   std::function<void(const std::string&)> say;
+  /// Called by finish() where the thread that copies does not end within two seconds; must not return. Null: it is
+  /// waited for, since it reads the pool.
+  std::function<void(const char* thread)> abandon;
 };
 
 struct EventReport {
@@ -43,9 +46,6 @@ struct EventReport {
   std::uint64_t pictures_missed = 0, samples_missed = 0;
   std::string trouble;  ///< why the last one was not written; empty: none failed
 };
-
-/// SIGUSR1 ends no program any more, and waits for an event recorder. Before the first thread starts.
-void block_event_signal();
 
 /// A thread copies what the flight shows it into memory taken beforehand; another writes. Neither is waited for: what
 /// the first has no room for is missed and counted, a disc that is full, slow or gone costs the event and nothing else.

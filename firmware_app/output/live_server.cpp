@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <poll.h>
@@ -12,12 +13,14 @@
 #include <unistd.h>
 #include <vector>
 
+#include "firmware_app/output/patient_end.h"
 #include "hal/rt/thread.h"
 
 namespace godwit::app {
 namespace {
 
 constexpr rt::TimeNs kPatienceNs = 5 * rt::kNsPerSecond;
+constexpr rt::TimeNs kEndNs = rt::kNsPerSecond;
 constexpr int kWaiting = 8;
 /// Larger than a line of the state, so that a reader who is a moment late loses none.
 constexpr int kBufferBytes = 64 * 1024;
@@ -86,6 +89,7 @@ struct LiveServer::State {
 
   const LiveServerOptions options;
   int listening = -1, end_fd = -1;
+  std::atomic<bool> ended{false};  // the thread has nothing left to do
   std::vector<Reader> readers;
   std::vector<pollfd> waiting;
   std::string line, views;  // of this turn; they keep their room
@@ -222,13 +226,20 @@ rt::Result<std::unique_ptr<LiveServer>> LiveServer::start(LiveServerOptions opti
     return error_of(socket, "cannot be made");
   }
   State* const s = state.get();
-  if (auto r = s->thread.start("gw-live", {}, [s] { s->run(); }); !r) return r.error();
+  if (auto r = s->thread.start("gw-live", {},
+                               [s] {
+                                 s->run();
+                                 s->ended.store(true, std::memory_order_release);
+                               });
+      !r)
+    return r.error();
   return std::unique_ptr<LiveServer>(new LiveServer(std::move(state)));
 }
 
 LiveServer::~LiveServer() {
   const std::uint64_t one = 1;
   (void)!::write(state_->end_fd, &one, sizeof one);
+  await_end(state_->ended, state_->options.abandon, "gw-live", kEndNs);
   state_->thread.join();
   ::unlink(state_->options.socket.c_str());
 }

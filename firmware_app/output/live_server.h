@@ -26,6 +26,8 @@ struct LiveServerOptions {
   std::function<void(std::string*)> view;
   rt::TimeNs interval_ns = rt::kNsPerSecond / 5;
   std::size_t readers = 8;  ///< a further one is told so and let go
+  /// Called by the destructor where the thread does not end within a second; must not return. Null: it is waited for.
+  std::function<void(const char* thread)> abandon;
 };
 
 /// A thread of its own serves; it sleeps while nobody reads, and waits for no reader: who is not quick enough misses

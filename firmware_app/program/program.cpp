@@ -7,7 +7,7 @@
 #include <string>
 #include <unistd.h>
 
-#include "firmware_app/output/event_recorder.h"
+#include "firmware_app/output/event_signal.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/program/exit_code.h"
 

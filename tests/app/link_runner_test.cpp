@@ -1,38 +1,16 @@
 #include "firmware_app/autopilot/link_runner.h"
 
-#include <csignal>
-#include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 #include <mutex>
-#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "hal/rt/wake_up.h"
 #include "tests/link/serial_line.h"
+#include "tests/support/standing_thread.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
 namespace {
-
-/// A thread that gets this signal stands, until it is let go.
-std::atomic<bool> stands{false};
-void stand(int /*signal*/) {
-  while (stands.load()) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
-}
-
-void stop_thread(const std::string& name) {
-  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
-    std::string said;
-    std::getline(std::ifstream(task.path() / "comm"), said);
-    if (said != name) continue;
-    std::signal(SIGUSR1, stand);
-    stands.store(true);
-    syscall(SYS_tgkill, getpid(), std::stoi(task.path().filename()), SIGUSR1);
-    return;
-  }
-  ADD_FAILURE() << "no thread " << name;
-}
 
 /// A link on a bus of its own, and this thread in the tracker's place.
 class LinkRunnerTest : public ::testing::Test {
@@ -51,7 +29,7 @@ class LinkRunnerTest : public ::testing::Test {
     options.abandon = [this](const char* thread) {
       abandoned_ = thread;  // a program would end here
       log_hangs_.store(false);
-      stands.store(false);
+      test::let_thread_go();
     };
     auto started = LinkRunner::start(options, user_stop_);
     ASSERT_TRUE(started.ok()) << started.error().message;
@@ -154,7 +132,7 @@ TEST_F(LinkRunnerTest, ARepeatedPictureIsNotPublishedAndCounted) {
 }
 
 TEST_F(LinkRunnerTest, ALinkThreadThatHangsIsNamedAndKeepsNoEndAway) {
-  stop_thread("gw-link");
+  test::stop_thread("gw-link");
   const rt::TimeNs begin = rt::monotonic_now_ns();
   while (heartbeats_.silent(rt::monotonic_now_ns()).name == nullptr &&
          rt::monotonic_now_ns() - begin < 20 * rt::kNsPerSecond) {

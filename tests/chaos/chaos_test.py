@@ -72,7 +72,7 @@ class Run:
         subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=16m', 'none', self.state], check=True)
         config = folder / 'godwit.toml'
         config.write_text(f'[camera]\nsource = "replay"\nsequence = "{self.recording}"\n[can]\nbus = "multicast:0"\n'
-                          f'[link]\nstate_folder = "{self.state}"\n')
+                          f'[link]\nstate_folder = "{self.state}"\n[live]\nsocket = "{folder}/live"\n')
         self.machine = Machine()
         self.told, self.autopilot = Told(0), EmulatedAutopilot(0)
         self.log = Log(folder / 'log')

@@ -12,7 +12,10 @@ LIE_S = 1.0
 MAPPER_LIE_S = 3.0  # one message may take the mapper two seconds
 # By name, and what may be said while they stand. The others are no failure of the flight, or are watched at other ends.
 THREADS = {'gw-camera': LIE_S, 'gw-tracker': LIE_S, 'gw-link': LIE_S, 'gw-mapper': MAPPER_LIE_S, 'gw-detector': None,
-           'gw-link-keep': None, 'gw-log': None, 'gw-flightlog': None, 'gw-watchdog': None, 'godwitd': None}
+           'gw-link-keep': None, 'gw-log': None, 'gw-flightlog': None, 'gw-events': None, 'gw-eventwrite': None,
+           'gw-live': None, 'gw-watchdog': None, 'godwitd': None}
+# These concern nobody in flight.
+BESIDE = ('gw-detector', 'gw-log', 'gw-flightlog', 'gw-events', 'gw-eventwrite', 'gw-live')
 
 
 class Fault:
@@ -35,7 +38,7 @@ class ThreadStands(Fault):
         self.thread = name or random.choice(sorted(THREADS))
         self.name = f'thread {self.thread} stands'
         self.lies_after = THREADS[self.thread]
-        self.stays_well = self.thread in ('gw-detector', 'gw-log', 'gw-flightlog')
+        self.stays_well = self.thread in BESIDE
         self.stopped = None
 
     def begin(self):

@@ -181,6 +181,29 @@ TEST(LiveServer, OneThatHangsHoldsNobodyUpAndKeepsItsSocket) {
   close(hanging);
 }
 
+TEST(LiveServer, AThreadThatHangsIsNamedAndKeepsNoEndAway) {
+  const test::TempFolder folder;
+  std::atomic<bool> hangs{true};
+  std::string abandoned;
+  LiveServerOptions o = options(folder / "live");
+  o.line = [&] {
+    while (hangs) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    return std::string("at last");
+  };
+  o.abandon = [&](const char* thread) {
+    abandoned = thread;  // a program would end here
+    hangs = false;
+  };
+  auto server = LiveServer::start(o);
+  ASSERT_TRUE(server.ok()) << server.error().message;
+  const auto reader = connect_live(folder / "live");
+  ASSERT_TRUE(reader.ok());
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 200 * rt::kNsPerMs);
+  server.value().reset();
+  EXPECT_EQ(abandoned, "gw-live");
+  close(reader.value());
+}
+
 TEST(LiveServer, WhatIsNoSocketIsLeftAlone) {
   const test::TempFolder folder;
   std::ofstream(folder / "live") << "precious";

@@ -9,6 +9,7 @@
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/imu/replay/imu_record.h"
 #include "tests/app/fake_pipeline.h"
+#include "tests/support/standing_thread.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -285,6 +286,22 @@ TEST(EventRecorder, LiveAnEventEndsWhereThePicturesDo) {
   }
   EXPECT_EQ(recorder->report().written, 1u) << f.said;
   EXPECT_GE(f.pool->acquire(), 0);
+}
+
+TEST(EventRecorder, ACopierThatHangsIsNamedAndKeepsNoEndAway) {
+  Flight f(10);
+  std::string abandoned;
+  f.recorder_options.abandon = [&](const char* thread) {
+    abandoned = thread;  // a program would end here
+    test::let_thread_go();
+  };
+  f.start();
+  // A thread gets its name before it begins.
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 200 * rt::kNsPerMs);
+  test::stop_thread("gw-events");
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 200 * rt::kNsPerMs);
+  f.recorder->finish(rt::kNsPerSecond);
+  EXPECT_EQ(abandoned, "gw-events");
 }
 
 }  // namespace
