@@ -125,6 +125,12 @@ class Fused:
         return (self.t >= t0) & (self.t < t1)
 
 
+def by_speed(samples, offset, period, truth):
+    """Pictures come evenly, and the first ones may not have been sent: by how many `offset` is wrong, the speed tells."""
+    flights = [Fused(samples, offset + k * period, truth) for k in range(-8, 9)]
+    return min(flights, key=lambda flight: (flight.speed_error ** 2).sum())
+
+
 def scale_and_ate(place, truth):
     """Of the best similarity that turns about the vertical alone (translation and heading free): scale, and RMS without
     it."""
@@ -227,10 +233,7 @@ def daemon(program, source):
         print(text)
         return
     check(all(m.estimator_type == 3 for m in fused), "all of them say that an inertial sensor takes part")
-    # Pictures come evenly, and the first ones may not have been sent: by how many it is, the speed tells.
-    offset, period = clock_offset(samples, stamps), stamps[1] - stamps[0]
-    flights = [Fused(fused, offset + k * period, truth) for k in range(-8, 9)]
-    f = min(flights, key=lambda flight: (flight.speed_error ** 2).sum())
+    f = by_speed(fused, clock_offset(samples, stamps), stamps[1] - stamps[0], truth)
     error = np.linalg.norm(f.error, axis=1)
     check((error <= 3 * f.sigma).all(),
           "the position is never off by more than three of the sigmas told: %.3f m at most" % error.max())
@@ -275,7 +278,7 @@ def autopilot(program, scenario, seed):
     check(len(good) > 0.4 * len(processed), "%d samples were fused" % len(good))
     if len(good) < 100:
         return
-    f = Fused(good, offset, truth)
+    f = by_speed(good, offset, stamps[1] - stamps[0], truth)
     print("      metric after %.2f s; quality %d to %d" % (f.t[0] - begin, f.quality.min(), f.quality.max()))
     error = np.linalg.norm(f.error, axis=1)
     outside = (error > 3 * f.sigma).mean()
