@@ -295,8 +295,8 @@ def autopilot(program, scenario, seed):
           "level to %.2f degrees in the mean (0.8 allowed), %.2f at most; sigma told %.2f to %.2f" %
           (f.tilt.mean(), f.tilt.max(), told.min(), told.max()))
     turned_told = np.degrees([math.sqrt(m.pose_covariance[20]) for m in good])
-    check((np.abs(f.turn) <= 3 * turned_told).all() and np.abs(f.turn).max() <= 2.0,
-          "and heads right to %.2f degrees at most (2 allowed), through all of it; sigma told %.2f to %.2f" %
+    check((np.abs(f.turn) <= 3 * turned_told).all() and np.abs(f.turn).max() <= 0.5,
+          "and heads right to %.2f degrees at most (0.5 allowed), through all of it; sigma told %.2f to %.2f" %
           (np.abs(f.turn).max(), turned_told.min(), turned_told.max()))
     speed = math.sqrt((f.speed_error ** 2).sum(axis=1).mean())
     check(speed <= 0.1, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS, %.3f at most" %
