@@ -1,7 +1,7 @@
 // New features of a keyframe: 200 over three levels, from scratch and where half of them exist.
 #include "benchmarks/bench_pictures.h"
-#include "vo_core/fast_corner.h"
-#include "vo_core/feature_detector.h"
+#include "vo_core/features/fast_corner.h"
+#include "vo_core/features/feature_detector.h"
 
 namespace godwit {
 namespace {

@@ -6,11 +6,11 @@
 #include <vector>
 
 #include "hal/rt/image.h"
-#include "vo_core/klt_tracker.h"
-#include "vo_core/multi_view_refine.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/rotation_fit.h"
-#include "vo_core/two_view_geometry.h"
+#include "vo_core/features/klt_tracker.h"
+#include "vo_core/geometry/rotation_fit.h"
+#include "vo_core/geometry/two_view_geometry.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/multi_view_refine.h"
 
 namespace {
 

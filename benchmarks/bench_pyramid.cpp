@@ -1,6 +1,6 @@
 // The pyramid of a frame: five levels by half-sampling.
 #include "benchmarks/bench_pictures.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
 
 namespace godwit {
 namespace {

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit {
 namespace {

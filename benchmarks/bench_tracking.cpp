@@ -6,12 +6,12 @@
 #include <random>
 #include <vector>
 
-#include "vo_core/bundle_adjuster.h"
-#include "vo_core/depth_filter.h"
-#include "vo_core/feature_align.h"
-#include "vo_core/pose_optimizer.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/sparse_image_align.h"
+#include "vo_core/features/feature_align.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/bundle_adjuster.h"
+#include "vo_core/map/depth_filter.h"
+#include "vo_core/tracking/pose_optimizer.h"
+#include "vo_core/tracking/sparse_image_align.h"
 
 namespace {
 

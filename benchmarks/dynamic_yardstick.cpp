@@ -27,11 +27,11 @@
 #include "firmware_app/pipeline/mask_exchange.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/camera/replay/replay_camera.h"
-#include "vo_core/landmark_finder.h"
-#include "vo_core/mapper.h"
-#include "vo_core/match_noise.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/tracker.h"
+#include "vo_core/features/match_noise.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/landmark_finder.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace {
 

@@ -11,7 +11,7 @@
 
 #include "tests/vo_core/plain_fast.h"
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/feature_detector.h"
+#include "vo_core/features/feature_detector.h"
 
 namespace {
 

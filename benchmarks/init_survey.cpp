@@ -14,8 +14,8 @@
 #include <yaml-cpp/yaml.h>
 
 #include "benchmarks/table_file.h"
-#include "vo_core/initializer.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/tracking/initializer.h"
 
 namespace {
 

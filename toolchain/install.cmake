@@ -1,4 +1,5 @@
-# What `cmake --install` puts where. Components: programs (with unit, configuration, manual), models, scenarios.
+# What `cmake --install` puts where. Components: programs (with unit, configuration, manual), models, scenarios, tools (what
+# looks at runs and makes sequences, for a desk: Python with numpy and matplotlib, so in no package of the target).
 #   cmake --install build/release --strip --prefix DIR [--component NAME]
 include(GNUInstallDirs)
 
@@ -15,7 +16,7 @@ file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/share/godwit ${PROJECT_BINARY_DIR}/tes
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/detector/models ${PROJECT_BINARY_DIR}/share/godwit/models SYMBOLIC)
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/config/scenarios ${PROJECT_BINARY_DIR}/share/godwit/scenarios SYMBOLIC)
 file(CREATE_LINK ../share ${PROJECT_BINARY_DIR}/tests/share SYMBOLIC)
-file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/lib)
+file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/lib ${PROJECT_BINARY_DIR}/tools)
 file(CREATE_LINK ../lib ${PROJECT_BINARY_DIR}/tests/lib SYMBOLIC)
 
 # godwit_program(NAME): a program that is installed, with a man page and shell completion out of its own --help.
@@ -42,6 +43,17 @@ endfunction()
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/detector/models DESTINATION ${GODWIT_DATA_DIR} COMPONENT models)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/config/scenarios DESTINATION ${GODWIT_DATA_DIR} COMPONENT scenarios)
 install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc DESTINATION ${GODWIT_DATA_DIR} COMPONENT programs)
+# Each tool lies beside what it imports, and the path has a link to it.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/scripts/report DESTINATION ${GODWIT_DATA_DIR}/tools COMPONENT tools PATTERN __pycache__ EXCLUDE)
+install(FILES ${PROJECT_SOURCE_DIR}/scripts/pose_consistency.py ${PROJECT_SOURCE_DIR}/scripts/pose_metric.py
+        DESTINATION ${GODWIT_DATA_DIR}/tools COMPONENT tools)
+foreach(tool godwit-report evaluate from_kitti from_video)
+  install(PROGRAMS ${PROJECT_SOURCE_DIR}/scripts/${tool} DESTINATION ${GODWIT_DATA_DIR}/tools COMPONENT tools)
+  string(REPLACE godwit- "" name godwit-${tool})
+  string(REPLACE _ - name godwit-${name})
+  file(CREATE_LINK ${from_programs}/tools/${tool} ${PROJECT_BINARY_DIR}/tools/${name} SYMBOLIC)
+  install(FILES ${PROJECT_BINARY_DIR}/tools/${name} DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)
+endforeach()
 # An administrator's file: the defaults, every key explained.
 install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.toml DESTINATION ${CMAKE_INSTALL_SYSCONFDIR}/godwit
         COMPONENT programs)

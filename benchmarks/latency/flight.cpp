@@ -20,7 +20,7 @@
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "hal/camera/replay/replay_camera.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::bench {
 namespace {

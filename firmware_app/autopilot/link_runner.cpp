@@ -4,7 +4,7 @@
 #include <pthread.h>
 
 #include "firmware_app/config/link_settings.h"
-#include "firmware_app/output/patient_end.h"
+#include "hal/rt/process_end.h"
 #include "hal/rt/rt_scope.h"
 #include "hal/rt/wake_up.h"
 
@@ -68,6 +68,7 @@ LinkRunner::LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::L
       user_stop_(user_stop) {
   t_next_report_ns_ = rt::monotonic_now_ns() + kReportPeriodNs;
   told_.bus_state = hal::CanState::kActive;
+  if (options.aids) aids_.emplace(*options.aids, service_->inputs());
 }
 
 LinkRunner::~LinkRunner() {
@@ -77,12 +78,10 @@ LinkRunner::~LinkRunner() {
 const link::LinkStatus& LinkRunner::finish() {
   ending_.store(true, std::memory_order_relaxed);
   const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + kEndPatienceNs;
-  if (link_thread_.running()) {
-    await_end(link_ended_, options_.abandon, "gw-link", give_up_ns - rt::monotonic_now_ns());
-    link_thread_.join();
-  }
+  rt::join_in_time(&link_thread_, give_up_ns - rt::monotonic_now_ns(), options_.abandon);
   if (keeper_thread_.joinable()) {
-    await_end(keeper_ended_, options_.abandon, "gw-link-keep", give_up_ns - rt::monotonic_now_ns());
+    const auto ended = [this] { return keeper_ended_.load(std::memory_order_acquire); };
+    rt::await_end(ended, "gw-link-keep", give_up_ns - rt::monotonic_now_ns(), options_.abandon);
     keeper_thread_.join();
   }
   service_->take_status(&status_);
@@ -137,7 +136,6 @@ void LinkRunner::run_link() {
   }
   link_pulse_.end();
   faults_ = rt::thread_page_faults() - before;
-  link_ended_.store(true, std::memory_order_release);
 }
 
 void LinkRunner::run_keeper() {
@@ -151,6 +149,7 @@ void LinkRunner::run_keeper() {
     }
     look_at_machine(rt::monotonic_now_ns());
     if (service_->take_status(&status_)) watch(status_);
+    watch_aids(rt::monotonic_now_ns());
     quality_.store(status_.quality, std::memory_order_relaxed);
     keeper_pulse_.beat();
     rt::sleep_until_ns(rt::monotonic_now_ns() + kKeeperPeriodNs);
@@ -191,15 +190,23 @@ void LinkRunner::watch(const link::LinkStatus& s) {
       (s.latency.grew && !told_.latency.grew)) {
     t_next_report_ns_ = now + kReportPeriodNs;
     for (const std::string& line : link_report(s)) tell(LinkLogLevel::kInfo, line);
+    for (const std::string& line : aid_words()) tell(LinkLogLevel::kInfo, line);
   }
   told_ = s;
+}
+
+void LinkRunner::watch_aids(rt::TimeNs now_ns) {
+  if (!aids_) return;
+  for (const AidNews& news : aid_watch_.look(*aids_, now_ns))
+    tell(news.warning ? LinkLogLevel::kWarning : LinkLogLevel::kInfo, news.words);
 }
 
 rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
                                                    const std::optional<std::array<double, 16>>& T_body_cam,
                                                    const LinkLog& log, const std::atomic<bool>& user_stop,
                                                    link::DepartureRing* departures, rt::Heartbeats* heartbeats,
-                                                   std::function<void(const char*)> abandon, bool wait_for_bus) {
+                                                   std::function<void(const char*)> abandon, bool wait_for_bus,
+                                                   bool hears_aids) {
   if (!wants_link(config)) return std::unique_ptr<LinkRunner>();
   LinkRunnerOptions options;
   options.settings = link_settings(config, T_body_cam);
@@ -209,6 +216,10 @@ rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
   options.heartbeats = heartbeats;
   options.settings.link.heartbeats = heartbeats;
   options.settings.wait_for_bus = wait_for_bus;
+  if (hears_aids && config.aids.any()) {
+    options.aids = bus_aids_options(config);
+    ask_for_aids(config, &options.settings);
+  }
   options.abandon = std::move(abandon);
   auto link = LinkRunner::start(options, user_stop);
   if (link.ok()) log(LinkLogLevel::kInfo, "link: " + mounting_words(options.settings.link.odometry.R_body_cam));

@@ -10,6 +10,8 @@
 #include <thread>
 #include <vector>
 
+#include "firmware_app/autopilot/aid_watch.h"
+#include "firmware_app/autopilot/bus_aids.h"
 #include "firmware_app/autopilot/pose_sampler.h"
 #include "firmware_app/config/config.h"
 #include "firmware_app/link/link_service.h"
@@ -28,12 +30,14 @@ using LinkLog = std::function<void(LinkLogLevel, const std::string&)>;
 
 struct LinkRunnerOptions {
   link::LinkSettings settings;
-  LinkLog log;            ///< null: nobody listens
-  rt::ThreadPlan thread;  ///< of gw-link
+  LinkLog log;                         ///< null: nobody listens
+  rt::ThreadPlan thread;               ///< of gw-link
+  std::optional<BusAidsOptions> aids;  ///< somebody reads aids(); settings.collect_inputs is then set
   /// Both threads beat in it, and the node's health says when any thread in it is silent. May be null; outlives the
   /// runner.
   rt::Heartbeats* heartbeats = nullptr;
-  /// Called by finish() where a thread does not end in kEndPatienceNs; must not return. Null: it is waited for.
+  /// Called by finish() where a thread does not end in kEndPatienceNs, or by the process's end where that comes
+  /// before; must not return. Null: it is waited for.
   std::function<void(const char* thread)> abandon;
 };
 
@@ -62,8 +66,10 @@ class LinkRunner final : public FrameTap {
   void detector_failed(bool failed) override { detector_ok_.store(!failed, std::memory_order_relaxed); }
   /// Tracker thread: it lives, and the camera is silent.
   void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override;
-  /// One thread: what the autopilot told, oldest first.
-  bool take_input(link::AutopilotInput* input) { return service_->take_input(input); }
+  /// For the tracker: what knows metres on the bus; null where nobody is to read it. As long as this lives.
+  hal::AidSource* aids() { return aids_ ? &*aids_ : nullptr; }
+  /// What became of it, a line a kind; any thread.
+  std::vector<std::string> aid_words() const { return aids_ ? aid_report(*aids_) : std::vector<std::string>(); }
 
   /// The log gets its report at the keeper's next look, not at the end of the minute. Any thread.
   void ask_for_words() { words_asked_.store(true, std::memory_order_relaxed); }
@@ -84,17 +90,20 @@ class LinkRunner final : public FrameTap {
   void run_keeper();
   void watch(const link::LinkStatus& status);
   void look_at_machine(rt::TimeNs now_ns);
+  void watch_aids(rt::TimeNs now_ns);
   void tell(LinkLogLevel level, const std::string& text) const;
 
   const LinkRunnerOptions options_;
   std::unique_ptr<link::LinkService> service_;
   PoseSampler sampler_;  ///< tracker thread's
+  std::optional<BusAids> aids_;
+  AidWatch aid_watch_;  ///< keeper's
   const std::atomic<bool>& user_stop_;
   /// finish() -> both threads: end. Relaxed, as the two below: nothing is ordered by them.
   std::atomic<bool> ending_{false};
   std::atomic<bool> stop_{false};  ///< link thread -> pipeline
-  /// Each thread -> finish(): it has nothing left to do. Release at its end, acquire before the join.
-  std::atomic<bool> link_ended_{false}, keeper_ended_{false};
+  /// Keeper -> finish(): it has nothing left to do. Release at its end, acquire before the join.
+  std::atomic<bool> keeper_ended_{false};
   std::atomic<bool> restart_due_{false};  ///< link thread -> keeper and the pipeline's caller
   /// Tracker -> keeper: when it last gave a sign of life (0: not yet), and what it sees of the others. Relaxed:
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
@@ -120,10 +129,11 @@ class LinkRunner final : public FrameTap {
 
 /// The link that the configuration asks for, already sending; null where it asks for none. T_body_cam: of the camera's
 /// calibration. Tells the log how the camera is mounted. departures: told of each pose that left, for whoever measures.
+/// hears_aids: somebody reads aids().
 rt::Result<std::unique_ptr<LinkRunner>> start_link(
     const Config& config, const std::optional<std::array<double, 16>>& T_body_cam, const LinkLog& log,
     const std::atomic<bool>& user_stop, link::DepartureRing* departures = nullptr, rt::Heartbeats* heartbeats = nullptr,
-    std::function<void(const char*)> abandon = {}, bool wait_for_bus = false);
+    std::function<void(const char*)> abandon = {}, bool wait_for_bus = false, bool hears_aids = false);
 
 /// Lines for people: latency with the VISO_DELAY_MS to set, our own share of it, messages, bus load, what was lost.
 std::vector<std::string> link_report(const link::LinkStatus& status);

@@ -8,7 +8,7 @@
 #include <fmt/format.h>
 #include <limits>
 
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 namespace {

@@ -5,9 +5,11 @@
 #include "firmware_app/autopilot/link_runner.h"
 #include "firmware_app/config/version.h"
 #include "firmware_app/flight/assembly.h"
+#include "firmware_app/flight/live_plan.h"
 #include "firmware_app/flight/pipeline_plan.h"
 #include "firmware_app/flight/recorder_plan.h"
 #include "firmware_app/output/event_line.h"
+#include "firmware_app/output/flown_log.h"
 #include "firmware_app/output/line_log.h"
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/output/run_writer.h"
@@ -29,12 +31,19 @@ void say(const std::string& line) {
 /// Passes the frames on, shows how far the run is and tells what happens.
 class ShowingSink final : public FrameSink {
  public:
-  ShowingSink(FrameSink* next, FrameSink* beside, EventRecorder* recorder, ProgressBar* bar, std::string memory_refused)
-      : next_(next), beside_(beside), recorder_(recorder), bar_(bar), memory_refused_(std::move(memory_refused)) {}
+  ShowingSink(FrameSink* next, FrameSink* beside, EventRecorder* recorder, FlightLog* log, ProgressBar* bar,
+              std::string memory_refused)
+      : next_(next),
+        beside_(beside),
+        recorder_(recorder),
+        log_(log),
+        bar_(bar),
+        memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
     bar_->show(++done_, vo::state_name(record.state));
     if (recorder_ != nullptr) recorder_->frame(record);
+    if (log_ != nullptr) log_->frame(record);
     if (beside_ != nullptr) {
       if (auto taken = beside_->take(record); !taken) return taken;
     }
@@ -44,8 +53,12 @@ class ShowingSink final : public FrameSink {
     const std::string warning = privilege_warning(memory_refused_, refused);
     if (!warning.empty()) say("warning: " + warning);
   }
+  void detection(const FoundBoxes& found) override {
+    if (log_ != nullptr) log_->detection(found);
+  }
   void event(const rt::LogEntry& entry) override {
     clock_.heard(entry.t_ns);
+    if (log_ != nullptr) log_->event(entry);
     bar_->make_way();
     say(event_line(entry, clock_.first_ns()));
     next_->event(entry);
@@ -55,6 +68,7 @@ class ShowingSink final : public FrameSink {
   FrameSink* next_;
   FrameSink* beside_;
   EventRecorder* recorder_;
+  FlightLog* log_;
   ProgressBar* bar_;
   const std::string memory_refused_;
   std::int64_t done_ = 0;
@@ -85,6 +99,10 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
     fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences{}\n", imu->samples, imu->gaps, imu->dropped,
                imu->silences, inertial ? "" : "; they were watched, not used");
   }
+  if (s.aided_log_sigma > 0) {
+    fmt::print("scale beside the IMU: known to {:.1f} %, by range {:.0f} %, baro {:.0f} %, gnss {:.0f} %\n",
+               100 * s.aided_log_sigma, 100 * s.aid_share[0], 100 * s.aid_share[1], 100 * s.aid_share[2]);
+  }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,
                s.counters.dropped_slots + s.counters.dropped_late);
@@ -93,6 +111,34 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
   }
   fmt::print("peak memory {:.0f} MB; written to {}: trajectory.tum frames.csv pose.csv summary.json\n",
              peak_memory_mb(), folder);
+}
+
+/// What is to be flown again, as far as it is asked for. Error: there is no such log, or it has a gap before that.
+rt::Result<FlownLog> flown_log(const CameraRunPlan& plan) {
+  auto read = read_flown_log(plan.as_flown);
+  if (!read) return read;
+  FlownLog& log = read.value();
+  if (plan.frames > 0) keep_first(plan.frames, &log);
+  if (log.gap.empty()) return read;
+  const std::string whole =
+      log.frames.empty() ? "" : fmt::format("; --frames {} flies what is", log.frames.back().sequence + 1);
+  return rt::Error{fmt::format("{}: the flight was not recorded whole: {}{}", plan.as_flown, log.gap, whole)};
+}
+
+std::string log_words(const FlightLogReport& r) {
+  return fmt::format("{} kB in {} file{}, {} messages dropped{}", r.written_bytes / 1000, r.files,
+                     r.files == 1 ? "" : "s", r.dropped, r.trouble.empty() ? "" : "; " + r.trouble);
+}
+
+int tell_as_flown(const AsFlownCounters& c) {
+  if (c.unequal > 0) {
+    return failed(
+        fmt::format("as flown: {} frames, from picture {} on, are not those of the log to the bit: another "
+                    "machine, program or configuration",
+                    c.unequal, c.first_unequal));
+  }
+  fmt::print("as flown: all {} poses of the log are the same to the bit\n", c.poses);
+  return kExitDone;
 }
 
 }  // namespace
@@ -115,6 +161,12 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     if (!opened) return refuse("--view: " + opened.error().message);
     view.emplace(std::move(opened).value());
   }
+  std::optional<FlownLog> flown;
+  if (!plan.as_flown.empty()) {
+    auto read = flown_log(plan);
+    if (!read) return refuse("--as-flown: " + read.error().message);
+    flown.emplace(std::move(read).value());
+  }
   auto assembled = assemble(config, calibration,
                             {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial,
                              plan.gyro_helps, !plan.events.empty()});
@@ -124,9 +176,11 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
+  pipeline.as_flown = flown ? &*flown : nullptr;
   pipeline.newest_frame = plan.pace == "real";
   parts.plan_detector(&pipeline);
   pipeline.imu = plan.imu;
+  pipeline.aids = plan.aids;
   const auto log = [](LinkLogLevel level, const std::string& text) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };
@@ -155,14 +209,16 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   RunWriter writer;
   auto opened = writer.open(plan.out, pipeline.newest_frame);
   if (!opened) return failed(opened.error().message);
+  const std::unique_ptr<FlightLog> flight_log = plan.log.empty() ? nullptr : begin_flight_log_in(plan.log, config);
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, plan.beside, recorder.get(), &bar, arm_memory(config));
+    ShowingSink sink(&writer, plan.beside, recorder.get(), flight_log.get(), &bar, arm_memory(config));
     run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }
   if (recorder != nullptr) say("event recorder: " + recorder_words(recorder->finish(kEventPatienceNs)));
+  if (flight_log != nullptr) say("flight log: " + log_words(flight_log->finish(kEventPatienceNs)));
   if (!run) return failed(run.error().message);
   if (stop.load(std::memory_order_relaxed)) {
     say("interrupted; nothing was written");
@@ -172,8 +228,14 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     say("restart asked for over the bus; nothing was written");
     return kExitRestart;
   }
-  RunDescription description{
-      version_words(version()), plan.source, plan.sequential ? "sequential" : "threads", plan.pace, plan.start, ""};
+  RunDescription description{version_words(version()),
+                             plan.source,
+                             flown             ? "as_flown"
+                             : plan.sequential ? "sequential"
+                                               : "threads",
+                             plan.pace,
+                             plan.start,
+                             ""};
   if (autopilot != nullptr) description.link = link_report_json(autopilot->finish());
   writer.set_pipeline(run.value());
   auto finished = writer.finish(description);
@@ -186,7 +248,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   if (autopilot != nullptr) {
     for (const std::string& line : link_report(autopilot->finish())) fmt::print("link: {}\n", line);
   }
-  return kExitDone;
+  return flown ? tell_as_flown(run.value().as_flown) : kExitDone;
 }
 
 }  // namespace godwit::app

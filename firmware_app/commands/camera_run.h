@@ -8,6 +8,7 @@
 #include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "firmware_app/pipeline/pipeline.h"
+#include "hal/aid/aid.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
 #include "hal/imu/imu.h"
@@ -22,15 +23,19 @@ struct CameraRunPlan {
   std::string pace = "max";
   bool sequential = false;
   std::int64_t start = 0;
-  std::int64_t total = 0;       ///< pictures to come, for the progress bar
-  MaskSource* masks = nullptr;  ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
-  hal::Imu* imu = nullptr;      ///< read and watched beside the camera; null: none
-  bool inertial = false;        ///< and used: poses are metric and level
-  bool gyro_helps = true;       ///< vision, too; see OdometryOptions
-  FrameSink* beside = nullptr;  ///< hears each record, too; null: nobody
-  std::string view;             ///< folder for pictures of what was seen; empty: none
+  std::int64_t total = 0;          ///< pictures to come, for the progress bar
+  MaskSource* masks = nullptr;     ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
+  hal::Imu* imu = nullptr;         ///< read and watched beside the camera; null: none
+  hal::AidSource* aids = nullptr;  ///< used with `inertial`; null: none
+  bool inertial = false;           ///< and used: poses are metric and level
+  bool gyro_helps = true;          ///< vision, too; see OdometryOptions
+  FrameSink* beside = nullptr;     ///< hears each record, too; null: nobody
+  std::string view;                ///< folder for pictures of what was seen; empty: none
   std::int64_t view_every = 30;
-  std::string events;  ///< folder for the event recorder; empty: there is none
+  std::string events;       ///< folder for the event recorder; empty: there is none
+  std::string log;          ///< folder for the flight log; empty: there is none
+  std::string as_flown;     ///< flight log that is flown again; empty: none is
+  std::int64_t frames = 0;  ///< pictures that were asked for; 0: all
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

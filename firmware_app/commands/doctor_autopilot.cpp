@@ -1,10 +1,12 @@
 #include "firmware_app/commands/doctor_autopilot.h"
 
 #include <array>
+#include <limits>
 #include <poll.h>
 #include <thread>
 #include <unistd.h>
 
+#include "firmware_app/autopilot/aid_watch.h"
 #include "firmware_app/autopilot/pose_sampler.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/doctor.h"
@@ -16,6 +18,8 @@ namespace {
 
 constexpr rt::TimeNs kWaitForAutopilotNs = 5 * rt::kNsPerSecond;
 constexpr rt::TimeNs kFreshNs = rt::kNsPerSecond;
+/// Rangefinder, barometer and satellites are asked for one after another, and come some five times a second.
+constexpr rt::TimeNs kAidListenNs = 4 * rt::kNsPerSecond;
 
 void step(link::LinkService* service) {
   service->wait(5 * rt::kNsPerMs);
@@ -105,6 +109,23 @@ rt::Result<link::TiltTest> guide(link::LinkService* service, AttitudeTap* ours, 
   return test;
 }
 
+/// Which of rangefinder, barometer and satellites come, and whether godwitd would use them.
+void listen_for_aids(const Config& config, link::LinkService* service, DoctorReport* report,
+                     const std::atomic<bool>& stop) {
+  if (!config.aids.any()) return;
+  BusAids aids(bus_aids_options(config), service->inputs());
+  const rt::TimeNs end = rt::monotonic_now_ns() + kAidListenNs;
+  while (rt::monotonic_now_ns() < end && !stop.load(std::memory_order_relaxed)) {
+    step(service);
+    hal::AidSample sample;
+    while (aids.next_until(std::numeric_limits<rt::TimeNs>::max(), &sample)) {
+    }
+  }
+  const std::vector<std::string> lines = aid_report(aids);
+  if (lines.empty()) report->note("aids: neither rangefinder nor barometer nor satellites are heard on the bus");
+  for (const std::string& line : lines) report->note(line);
+}
+
 /// Where another node than the one that is configured speaks through a tunnel: that it is likely the autopilot.
 std::string other_node(const Config& config, const BusHeard& heard) {
   if (heard.tunnels.empty() || heard.tunnels.count(config.can.autopilot_node) > 0) return {};
@@ -118,11 +139,9 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
                                                      DoctorReport* report, const std::atomic<bool>& stop) {
   link::LinkSettings settings = link_settings(config, calibration.T_body_cam);
   settings.link.patience.first_ns = 3600 * rt::kNsPerSecond;  // no pose is to come
-  // The tilt test reads the attitude, nobody the rest.
-  link::mavlink::EndpointConfig& asked = settings.link.mavlink;
-  asked.attitude_hz = 20;
-  asked.imu_hz = asked.range_hz = asked.local_position_hz = asked.global_position_hz = 0;
-  settings.collect_inputs = true;
+  // The tilt test reads the attitude, the search for aids what they are made of, nobody the rest.
+  ask_for_aids(config, &settings);
+  settings.link.mavlink.attitude_hz = 20;
   auto opened = link::LinkService::open(settings);
   if (!opened) {
     report->wrong(opened.error().message);
@@ -151,6 +170,7 @@ std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const
   }
   report->fits("autopilot: its HEARTBEAT comes");
   report->note("while this runs there is no pose: the autopilot may say that our node is unhealthy");
+  listen_for_aids(config, service.get(), report, stop);
   if (config.link.profile == Config::Link::Profile::kPx4) {
     report->note("autopilot: parameters of PX4 are not looked at; docs/px4.md lists them");
     return service;

@@ -9,7 +9,7 @@
 #include "firmware_app/config/config.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

@@ -5,10 +5,12 @@
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/program/exit_code.h"
+#include "firmware_app/sim/flight_aids.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sim/flight_imu.h"
 #include "firmware_app/sim/flight_writer.h"
 #include "firmware_app/sim/flown_camera.h"
+#include "hal/aid/replay/replay_aids.h"
 #include "hal/atomic_file.h"
 #include "hal/imu/replay/replay_imu.h"
 
@@ -58,6 +60,11 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   if (a.run.imu != "off") {
     imu = std::make_unique<hal::ReplayImu>(imu_record_of(*flight.value()), &time, a.run.pace == "real");
   }
+  std::unique_ptr<hal::ReplayAids> aids;
+  if (!a.run.aids.empty()) {
+    aids = std::make_unique<hal::ReplayAids>(aid_record_of(*flight.value(), hal::parse_aid_kinds(a.run.aids).value()),
+                                             &time);
+  }
   if (camera.left() == 0)
     return refuse("--start " + std::to_string(a.run.start) + ": the flight has no more pictures than that");
   CameraRunPlan plan;
@@ -70,10 +77,14 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.total = camera.left();
   plan.masks = camera.masks();
   plan.imu = imu.get();
+  plan.aids = aids.get();
   plan.inertial = a.run.imu == "on";
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
   plan.events = a.run.events;
+  plan.log = a.run.log;
+  plan.as_flown = a.run.as_flown;
+  plan.frames = a.run.frames;
   if (a.render_ahead) {
     if (const auto drawn = camera.render_ahead(stop); !drawn) {
       if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);

@@ -13,6 +13,7 @@
 #include "firmware_app/link/byte_port.h"
 #include "firmware_app/program/exit_code.h"
 #include "firmware_app/program/whole_number.h"
+#include "hal/aid/replay/replay_aids.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/can/can_bus.h"
 #include "hal/imu/replay/replay_imu.h"
@@ -101,6 +102,11 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->check(CLI::IsMember({"on", "watch", "off"}))
       ->capture_default_str();
   command
+      ->add_option("--aids", a->aids,
+                   "With --imu on, what else tells lengths: range, baro, gnss, with commas between; from range.csv, "
+                   "baro.csv and gnss.csv beside the pictures (docs/inertial.md)")
+      ->type_name("LIST");
+  command
       ->add_option("--model", a->model,
                    "The detector's network, for the large input and the small one (default: detector.model)")
       ->type_name("FILE");
@@ -120,6 +126,18 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
           "map and doubt, and at SIGUSR1, as sequences that replay takes; seconds, memory and budgets are "
           "[recorder]'s in the file of --config")
       ->type_name("DIR");
+  command
+      ->add_option(
+          "--log", a->log,
+          "Folder for a flight log (ULog; docs/flight-log.md), made if it is not there; --as-flown flies by it")
+      ->type_name("DIR");
+  command
+      ->add_option(
+          "--as-flown", a->as_flown,
+          "Fly the same pictures again by this flight log, which --log wrote: each frame finds what it found then, so "
+          "that on the same machine its poses are the same to the bit, which is looked at (exit code 1: they are not); "
+          "refused where the log has a gap, unless --frames stays before it")
+      ->type_name("LOG");
   add_link_options(command, &a->can, &a->mavlink);
   command->add_flag("--bench-metric", a->bench_metric,
                     "The map's lengths pass for metres and its start for level, so that the autopilot takes the poses "
@@ -161,6 +179,10 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--sequential has no pace: leave --pace real out");
     return false;
   }
+  if (!a.as_flown.empty() && (a.sequential || a.pace == "real" || !a.events.empty())) {
+    refuse("--as-flown: the log says what came when; leave --sequential, --pace real and --events out");
+    return false;
+  }
   if (a.out.empty()) {
     refuse("--out: a folder is needed");
     return false;
@@ -195,6 +217,18 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--bench-metric takes for metres what --imu on measures in metres: leave one of them out");
     return false;
   }
+  if (const auto kinds = hal::parse_aid_kinds(a.aids); !kinds) {
+    refuse("--aids " + kinds.error().message);
+    return false;
+  }
+  if (!a.aids.empty() && !a.as_flown.empty()) {
+    refuse("--as-flown with --aids: the log does not hold when which of them was heard");
+    return false;
+  }
+  if (!a.aids.empty() && a.imu != "on") {
+    refuse("--aids: only with --imu on does anything ask for lengths");
+    return false;
+  }
   // What flies here is the sequence's or the scenario's own sensor, not the file's.
   config->imu.enabled = a.imu == "on";
   config->imu.source = a.imu == "on" ? Config::Imu::Source::kReplay : Config::Imu::Source::kNone;
@@ -226,6 +260,12 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
   }
+  std::unique_ptr<hal::ReplayAids> aids;
+  if (!a.aids.empty()) {
+    auto record = hal::read_aid_record(a.sequence, hal::parse_aid_kinds(a.aids).value());
+    if (!record) return refuse("--aids: " + record.error().message);
+    aids = std::make_unique<hal::ReplayAids>(std::move(record).value(), &time);
+  }
   const hal::CameraCalibration& calibration = camera.value()->calibration();
   CameraRunPlan plan;
   plan.source = a.sequence;
@@ -236,10 +276,14 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.start = a.start;
   plan.total = camera.value()->total();
   plan.imu = imu.get();
+  plan.aids = aids.get();
   plan.inertial = a.imu == "on";
   plan.view = a.view;
   plan.view_every = a.view_every;
   plan.events = a.events;
+  plan.log = a.log;
+  plan.as_flown = a.as_flown;
+  plan.frames = a.frames;
   if (a.write_calibration.empty()) return run_camera(camera.value().get(), calibration, config, plan, stop);
   TurnListener turns;
   plan.beside = &turns;

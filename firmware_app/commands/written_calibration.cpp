@@ -5,7 +5,7 @@
 
 #include "hal/atomic_file.h"
 #include "hal/camera/calibration_toml.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 namespace {

@@ -77,7 +77,7 @@ struct Config {
     int threads = 1;     ///< OpenCV's
   } detector;
 
-  /// What moves, found by geometry (vo_core/motion_gate.h).
+  /// What moves, found by geometry (vo_core/tracking/motion_gate.h).
   struct Gate {
     bool enabled = true;
   } gate;
@@ -97,6 +97,14 @@ struct Config {
     bool self_test = false;      ///< mpu6000
     double silent_s = 0.5;       ///< an IMU of which nothing is newer is called silent
   } imu;
+
+  /// What the autopilot and sensors on the bus tell beside camera and inertial sensor: used where it is heard.
+  struct Aids {
+    bool range = true, barometer = true, satellites = true;
+    int range_sensor = -1;  ///< id of a DroneCAN range sensor that looks down and does not say so; -1: none
+    double delay_ms = 20;   ///< a measurement is so old on arrival, where its message does not say on a clock we know
+    bool any() const { return range || barometer || satellites; }
+  } aids;
 
   /// The CAN bus, and godwit as a DroneCAN node on it.
   struct Can {

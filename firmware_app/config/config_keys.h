@@ -1,9 +1,10 @@
 // The kinds of keys a configuration has: what each may hold, in code and in words. A key is one line in
 // config_schema.cpp.
 //
-// One parser, toml++, and three that read its tables: this, hal/sim/scenario_section.h and detector/model_info.cpp.
-// What they could share would have to lie in hal/rt, the only folder that hal, detector and this one all may include,
-// and hal/rt knows no library. They differ, too: all mistakes at once here, the first one there.
+// One parser, toml++, and three that read its tables: this, hal/sim/flight/scenario_section.h and
+// detector/model_info.cpp. What they could share would have to lie in hal/rt, the only folder that hal, detector and
+// this one all may include, and hal/rt knows no library. They differ, too: all mistakes at once here, the first one
+// there.
 #pragma once
 
 #include <concepts>

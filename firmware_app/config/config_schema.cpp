@@ -65,6 +65,14 @@ void add_imu(Config* c, std::vector<Key>* to) {
   to->push_back(keys::flag("imu.self_test", &c->imu.self_test));
 }
 
+void add_aids(Config* c, std::vector<Key>* to) {
+  to->push_back(keys::flag("aids.range", &c->aids.range));
+  to->push_back(keys::flag("aids.barometer", &c->aids.barometer));
+  to->push_back(keys::flag("aids.satellites", &c->aids.satellites));
+  to->push_back(keys::whole("aids.range_sensor", -1, 255, &c->aids.range_sensor));
+  to->push_back(keys::number("aids.delay_ms", 0, 500, "ms", &c->aids.delay_ms));
+}
+
 void add_movers(Config* c, std::vector<Key>* to) {
   using Backend = detector::Backend;
   to->push_back(keys::flag("detector.enabled", &c->detector.enabled));
@@ -171,6 +179,7 @@ std::vector<Key> config_keys(Config* c) {
   add_movers(c, &out);
   add_imu(c, &out);
   out.push_back(keys::number("imu.silent_s", 0.02, 10, "s", &c->imu.silent_s));
+  add_aids(c, &out);
   add_link(c, &out);
   return out;
 }

@@ -12,6 +12,7 @@
 #include "firmware_app/config/version.h"
 #include "firmware_app/daemon/daemon_camera.h"
 #include "firmware_app/daemon/daemon_imu.h"
+#include "firmware_app/daemon/end_guard.h"
 #include "firmware_app/daemon/watchdog.h"
 #include "firmware_app/flight/assembly.h"
 #include "firmware_app/flight/live_plan.h"
@@ -23,6 +24,7 @@
 #include "firmware_app/program/program.h"
 #include "hal/machine/machine_state.h"
 #include "hal/machine/service_manager.h"
+#include "hal/rt/process_end.h"
 
 namespace godwit::app {
 namespace {
@@ -31,7 +33,7 @@ void say(const std::string& line) {
   error_log().put("godwitd: " + line);
 }
 
-/// systemd waits five seconds for the end (systemd/godwitd.service.in).
+/// Of the disc, at the end.
 constexpr rt::TimeNs kEventPatienceNs = 2 * rt::kNsPerSecond;
 
 int give_up(const std::string& line) {
@@ -68,6 +70,9 @@ class Journal final : public FrameSink {
     live_->status.frame(record);
     live_->track.frame(record);
     return {};
+  }
+  void detection(const FoundBoxes& found) override {
+    if (log_ != nullptr) log_->detection(found);
   }
   void event(const rt::LogEntry& e) override {
     clock_.heard(e.t_ns);
@@ -185,6 +190,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   options.heartbeats = heartbeats;
   options.abandon = abandon;
   options.tap = autopilot;
+  if (autopilot != nullptr) options.aids = autopilot->aids();
   // The link's own flag is raised by its thread, which may hang.
   options.also_stop = &stop;
   // Before memory is locked: its thread and its buffers belong to what is there.
@@ -205,6 +211,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get(), say, abandon);
   Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
+  rt::begin_process_end();  // whoever wanted it
   if (!run) return give_up(run.error().message);
   PipelineCounters counters = run.value();
   if (autopilot != nullptr) {
@@ -222,6 +229,8 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
 int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   say("godwitd " + version_words(version()));
   const hal::ServiceManager manager;
+  EndGuard guard(stop, config.threads.link);
+  if (!guard.trouble().empty()) say("warning: gw-end: " + guard.trouble());
   // Outlives link and pipeline.
   rt::Heartbeats heartbeats;
   const Watchdog watchdog(manager, heartbeats, config.threads.link);
@@ -232,26 +241,28 @@ int run_daemon(const Config& config, const std::atomic<bool>& stop) {
   DaemonCamera& camera = found.value();
   const auto mounting = mounting_of(camera);
 
-  const LinkRunner* restarts = nullptr;
-  const auto abandon = [&restarts](const char* thread) {
-    end_without("godwitd", thread, restarts != nullptr && restarts->restart_due() ? kExitRestart : kExitFailed);
-  };
+  const auto abandon = [&guard](const char* thread) { guard.abandon(thread); };
   const auto log = [](LinkLogLevel level, const std::string& text) {
     say((level == LinkLogLevel::kWarning ? "warning: " : "") + text);
   };
   // The node is on the bus before camera and networks are there.
-  auto link = start_link(config, mounting, log, stop, nullptr, &heartbeats, abandon, true);
+  auto link = start_link(config, mounting, log, stop, nullptr, &heartbeats, abandon, true, true);
   if (!link) {
     say(link.error().message);
     return kExitRefused;
   }
   LinkRunner* const autopilot = link.value().get();
-  restarts = autopilot;
+  if (autopilot != nullptr)
+    guard.watch({[autopilot] { return autopilot->stop().load(std::memory_order_relaxed); },
+                 [autopilot] { return autopilot->restart_due(); }});
+  const auto unwatch = [&guard](const LinkRunner*) { guard.watch({}); };
+  const std::unique_ptr<const LinkRunner, decltype(unwatch)> watched(autopilot, unwatch);
   const std::atomic<bool>& ending = autopilot != nullptr ? autopilot->stop() : stop;
   const int code = fly(config, &camera, mounting, autopilot, &heartbeats, manager, abandon, stop, ending);
   manager.stopping();
   if (autopilot == nullptr) return code;
   for (const std::string& line : link_report(autopilot->finish())) say("link: " + line);
+  for (const std::string& line : autopilot->aid_words()) say("link: " + line);
   if (code != kExitDone || !autopilot->restart_due()) return code;
   say("restart asked for over the bus");
   return kExitRestart;

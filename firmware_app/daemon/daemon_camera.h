@@ -12,7 +12,7 @@
 #include "hal/camera/camera.h"
 #include "hal/replay_time.h"
 #include "hal/rt/result.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

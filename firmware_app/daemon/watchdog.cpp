@@ -1,5 +1,7 @@
 #include "firmware_app/daemon/watchdog.h"
 
+#include "hal/rt/process_end.h"
+
 namespace godwit::app {
 namespace {
 
@@ -19,7 +21,7 @@ Watchdog::Watchdog(const hal::ServiceManager& manager, const rt::Heartbeats& hea
 Watchdog::~Watchdog() {
   ending_.store(true, std::memory_order_relaxed);
   wake_.post();
-  thread_.join();
+  rt::join_in_time(&thread_);
 }
 
 void Watchdog::run() {

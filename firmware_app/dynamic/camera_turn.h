@@ -5,8 +5,8 @@
 
 #include "detector/box_carrier.h"
 #include "hal/rt/time.h"
-#include "vo_core/camera_model.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 

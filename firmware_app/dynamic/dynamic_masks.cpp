@@ -106,7 +106,9 @@ rt::MaskPyramidView DynamicMasks::mask_for(const rt::FrameMeta& frame, const rt:
   if (t_first_ns_ == 0) t_first_ns_ = frame.t_capture_ns;
   carrier_.advance(frame.t_capture_ns, motion_.next(grey, carrier_.followed()), turn_.next(frame.t_capture_ns));
   parked_.note_boxes(frame.t_capture_ns, carrier_.boxes());
+  t_detection_ns_ = 0;
   if (detections_.read(&newest_)) {
+    t_detection_ns_ = newest_.t_capture_ns;
     // By now its picture's boxes may be known from a newer detection than when that picture came.
     std::span<const detector::Box> before;
     if (carrier_.boxes_at(newest_.t_capture_ns, &before)) parked_.correct_boxes(newest_.t_capture_ns, before);

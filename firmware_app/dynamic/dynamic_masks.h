@@ -42,6 +42,8 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
                                                         const vo::CameraModel& camera, const rt::FramePool* pool);
 
   bool detect(const DetectorJob& job) override;
+  const FoundBoxes* found() const override { return &found_; }
+  void give(const FoundBoxes& found) override { detections_.write(found); }
   rt::MaskPyramidView mask_for(const rt::FrameMeta& frame, const rt::ImageView& grey) override;
   void frame_tracked(const TrackedFrame& frame) override {
     parked_.note_tracked(frame);
@@ -54,16 +56,13 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   /// Sides of the networks' inputs [px]; the same where there is one network.
   int input_px() const { return large_.info().input_width; }
   int small_input_px() const { return small_ != nullptr ? small_->info().input_width : input_px(); }
+  rt::TimeNs t_detection_ns() const override { return t_detection_ns_; }
   rt::TimeNs late_mask(rt::TimeNs t_capture_ns, rt::TimeNs known_ns, rt::MaskPyramidView* mask) override;
 
   /// What was asked for and could not be had, in words; empty if nothing.
   std::string warning() const;
 
  private:
-  struct Detection {
-    rt::TimeNs t_capture_ns = 0;
-    detector::BoxList boxes;
-  };
   DynamicMasks(const DynamicMasksOptions& options, const vo::CameraModel& camera, const rt::FramePool* pool,
                detector::Detector large, std::unique_ptr<detector::Detector> small);
 
@@ -74,8 +73,8 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   const rt::FramePool* pool_;
   detector::Detector large_;
   std::unique_ptr<detector::Detector> small_;
-  Detection found_;  ///< detector thread's own
-  rt::TripleBuffer<Detection> detections_;
+  FoundBoxes found_;  ///< detector thread's own
+  rt::TripleBuffer<FoundBoxes> detections_;
 
   // Tracker thread's own.
   detector::BoxCarrier carrier_;
@@ -86,9 +85,10 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   CameraTurn turn_;
   ParkedBoxes parked_;
   detector::BoxList moving_;
-  Detection newest_;
+  FoundBoxes newest_;
   std::vector<bool> movable_;
   rt::TimeNs t_first_ns_ = 0;
+  rt::TimeNs t_detection_ns_ = 0;  ///< see t_detection_ns()
   bool have_mask_ = false;
   rt::TimeNs t_held_ns_ = 0;   ///< capture time of the newest picture whose detection is carried on
   rt::TimeNs t_taken_ns_ = 0;  ///< the same of the frame with which that detection came in

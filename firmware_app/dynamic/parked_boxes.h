@@ -11,7 +11,7 @@
 #include "firmware_app/dynamic/standing_point.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "hal/rt/time.h"
-#include "vo_core/camera_model.h"
+#include "vo_core/geometry/camera_model.h"
 
 namespace godwit::app {
 

@@ -4,7 +4,7 @@
 #include <span>
 
 #include "hal/rt/time.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 

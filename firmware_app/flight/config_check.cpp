@@ -8,7 +8,7 @@
 #include "firmware_app/flight/model_files.h"
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/pipeline/odometry_stage.h"
-#include "hal/sim/scenario.h"
+#include "hal/sim/flight/scenario.h"
 
 namespace godwit::app {
 namespace {

@@ -1,6 +1,7 @@
 #include "firmware_app/flight/live_plan.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "firmware_app/config/version.h"
 
@@ -11,20 +12,32 @@ bool may_be_looked_at(const Config& config) {
   return config.live.enabled && !config.live.socket.empty();
 }
 
+FlightLogOptions log_options(const Config& config) {
+  FlightLogOptions out;
+  std::string text;
+  for (const std::string& line : show_config(config)) text += line + "\n";
+  out.info.emplace_back("version", version_words(version()));
+  out.info.emplace_back("ver_sw", commit_words(version()));
+  out.info.emplace_back("configuration", std::move(text));
+  return out;
+}
+
 }  // namespace
+
+std::unique_ptr<FlightLog> begin_flight_log_in(const std::string& folder, const Config& config) {
+  FlightLogOptions options = log_options(config);
+  options.folder = folder;
+  options.budget_bytes = std::numeric_limits<std::size_t>::max();
+  return std::make_unique<FlightLog>(std::move(options));
+}
 
 std::unique_ptr<FlightLog> begin_flight_log(const Config& config, const Say& say) {
   const bool own_folder = !config.flight_log.folder.empty();
   if (!config.flight_log.enabled || (!own_folder && config.link.state_folder.empty())) return nullptr;
-  FlightLogOptions options;
+  FlightLogOptions options = log_options(config);
   options.folder = own_folder ? config.flight_log.folder : config.link.state_folder + "/flights";
   options.budget_bytes = static_cast<std::size_t>(config.flight_log.budget_mb) * 1'000'000;
   options.file_bytes = std::min(options.file_bytes, options.budget_bytes / 8);
-  std::string text;
-  for (const std::string& line : show_config(config)) text += line + "\n";
-  options.info.emplace_back("version", version_words(version()));
-  options.info.emplace_back("ver_sw", commit_words(version()));
-  options.info.emplace_back("configuration", std::move(text));
   say("flight log: " + options.folder);
   return std::make_unique<FlightLog>(std::move(options));
 }

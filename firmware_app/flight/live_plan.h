@@ -26,6 +26,9 @@ using Say = std::function<void(const std::string&)>;
 /// Null: none is wanted, or nowhere to write it.
 std::unique_ptr<FlightLog> begin_flight_log(const Config& config, const Say& say);
 
+/// The same in a folder of one's own, whatever is configured; nobody but the disc limits it.
+std::unique_ptr<FlightLog> begin_flight_log_in(const std::string& folder, const Config& config);
+
 /// What the tracker leaves for those who look; null: nobody may. Before the odometry is made.
 std::unique_ptr<LivePicture> live_picture(const Config& config, int width, int height);
 

@@ -24,8 +24,8 @@ void BusFilters::follow(std::uint8_t node_id, hal::CanBus* bus, dronecan::Reasse
   };
   let_in({dronecan::TunnelTargetted::kType.id, dronecan::ArmingStatus::kType.id, dronecan::Allocation::kType.id});
   if (inputs_) {
-    let_in({dronecan::RangeMeasurement::kType.id, dronecan::StaticPressure::kType.id, dronecan::RawImu::kType.id,
-            dronecan::GlobalTimeSync::kType.id});
+    let_in({dronecan::RangeMeasurement::kType.id, dronecan::StaticPressure::kType.id, dronecan::GnssFix2::kType.id,
+            dronecan::RawImu::kType.id, dronecan::GlobalTimeSync::kType.id});
   }
   if (node_id != 0) {
     filters[count++] = {node_id * 256U | 0x80U, 0x00007F80, true};

@@ -20,6 +20,14 @@ namespace {
 /// What is not there is looked for so often.
 constexpr rt::TimeNs kLookNs = rt::kNsPerSecond;
 
+/// Closes what failed on the way; errno stays that of the failure.
+const char* given_up(int fd, const char* failed) {
+  const int why = errno;
+  close(fd);
+  errno = why;
+  return failed;
+}
+
 /// Without a way to the other end, as before the network is up, it is gone.
 class UdpPort final : public BytePort {
  public:
@@ -39,12 +47,7 @@ class UdpPort final : public BytePort {
     const char* failed = nullptr;
     if (local_ != 0 && bind(fd, reinterpret_cast<const sockaddr*>(&from), sizeof from) != 0) failed = "bind";
     if (failed == nullptr && connect(fd, reinterpret_cast<const sockaddr*>(&to_), sizeof to_) != 0) failed = "connect";
-    if (failed != nullptr) {
-      const int why = errno;
-      close(fd);
-      errno = why;
-      return failed;
-    }
+    if (failed != nullptr) return given_up(fd, failed);
     fd_ = fd;
     return nullptr;
   }
@@ -95,12 +98,7 @@ class SerialPort final : public BytePort {
       cfsetospeed(&mode, speed_);
       if (tcsetattr(fd, TCSANOW, &mode) != 0) failed = "";
     }
-    if (failed != nullptr) {
-      const int why = errno;
-      close(fd);
-      errno = why;
-      return failed;
-    }
+    if (failed != nullptr) return given_up(fd, failed);
     fd_ = fd;
     return nullptr;
   }

@@ -11,6 +11,10 @@ namespace {
 
 constexpr double kStandardGravity = 9.80665;
 constexpr double kMilli = 1e-3;
+/// Microseconds since boot are fewer: larger ones are a date, on a clock that nobody compares with ours.
+constexpr std::uint64_t kDateUs = 1'000'000'000'000'000;
+/// A sigma or variance that is not told.
+constexpr double kUnknown = 0;
 
 bool all_finite(const AutopilotInput& input) {
   return std::all_of(input.value.begin(), input.value.end(), [](double v) { return std::isfinite(v); });
@@ -77,9 +81,49 @@ bool fill(const mavlink::RawMessage& raw, AutopilotInput* out) {
                     m.vx * 0.01,  m.vy * 0.01,  m.vz * 0.01};
       return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
     }
+    case ScaledPressure::kId: {
+      const auto m = read<ScaledPressure>(raw);
+      constexpr double kHectopascal = 100;
+      out->kind = InputKind::kPressure;
+      out->t_source_us = std::uint64_t{m.time_boot_ms} * 1000;
+      out->value = {m.press_abs * kHectopascal, kUnknown, 0, 0, 0, 0, 0};
+      return m.press_abs > 0;
+    }
+    case GpsRawInt::kId: {
+      const auto m = read<GpsRawInt>(raw);
+      out->kind = InputKind::kSatellites;
+      out->t_source_us = m.time_usec < kDateUs ? m.time_usec : 0;
+      out->value = {
+          m.lat * 1e-7, m.lon * 1e-7, m.alt * kMilli, double(m.fix_type), m.h_acc * kMilli, m.v_acc * kMilli, 0};
+      return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
+    }
     default:
       return false;
   }
+}
+
+/// Where a range sensor on the bus says that it looks: only straight down is told from the rest.
+double looks(const dronecan::RangeMeasurement& m) {
+  if (!m.orientation_defined) return kLooksUnknown;
+  // Roll, pitch, yaw in steps of 15 degrees; a pitch of -90 is down, whatever the others turn it by.
+  return m.roll_pitch_yaw[1] >= -7 && m.roll_pitch_yaw[1] <= -5 ? kLooksDown : kLooksElsewhere;
+}
+
+/// The larger of the sigmas of a place, level and up, from a covariance of 6 (position, velocity): its diagonal alone,
+/// its upper triangle, or the whole. 0: not told.
+std::array<double, 2> fix_sigmas(const dronecan::GnssFix2& m) {
+  std::array<std::size_t, 3> at{};
+  if (m.covariance.size == 6) {
+    at = {0, 1, 2};
+  } else if (m.covariance.size == 21) {
+    at = {0, 6, 11};
+  } else if (m.covariance.size == 36) {
+    at = {0, 7, 14};
+  } else {
+    return {kUnknown, kUnknown};
+  }
+  const auto variance = [&](std::size_t i) { return std::max(0.0, double(m.covariance.item[at[i]])); };
+  return {std::sqrt(std::max(variance(0), variance(1))), std::sqrt(variance(2))};
 }
 
 template <typename Message>
@@ -96,7 +140,7 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
       out->kind = InputKind::kRange;
       out->sensor = m.sensor_id;
       out->t_source_us = m.timestamp_us;
-      out->value = {m.range_m, -1, 0, 0, 0, 0, 0};
+      out->value = {m.range_m, looks(m), 0, 0, 0, 0, 0};
       return true;
     }
     case StaticPressure::kType.id: {
@@ -105,6 +149,21 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
       out->kind = InputKind::kPressure;
       out->value = {m.pressure_pa, m.variance_pa2, 0, 0, 0, 0, 0};
       return true;
+    }
+    case GnssFix2::kType.id: {
+      GnssFix2 m;
+      if (!read(transfer, &m)) return false;
+      out->kind = InputKind::kSatellites;
+      const std::array<double, 2> sigma = fix_sigmas(m);
+      const double fix = m.status == GnssFix2::k3dFix ? kFix3d : 0;
+      out->value = {static_cast<double>(m.latitude_deg_1e8) * 1e-8,
+                    static_cast<double>(m.longitude_deg_1e8) * 1e-8,
+                    m.height_msl_mm * kMilli,
+                    fix,
+                    sigma[0],
+                    sigma[1],
+                    0};
+      return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
     }
     case dronecan::RawImu::kType.id: {
       dronecan::RawImu m;
@@ -130,6 +189,7 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
 
 bool input_from_mavlink(const mavlink::RawMessage& raw, AutopilotInput* out) {
   *out = AutopilotInput{};
+  out->from_autopilot = true;
   out->source = raw.component;
   return fill(raw, out) && all_finite(*out);
 }

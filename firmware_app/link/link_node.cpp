@@ -9,9 +9,10 @@ namespace {
 
 std::vector<dronecan::TypeInfo> accepted_types() {
   std::vector<dronecan::TypeInfo> types = dronecan::Node::accepted_types();
-  types.insert(types.end(), {dronecan::TunnelTargetted::kType, dronecan::RangeMeasurement::kType,
-                             dronecan::StaticPressure::kType, dronecan::RawImu::kType, dronecan::ArmingStatus::kType,
-                             dronecan::GlobalTimeSync::kType, dronecan::NodeStatus::kType});
+  types.insert(types.end(),
+               {dronecan::TunnelTargetted::kType, dronecan::RangeMeasurement::kType, dronecan::StaticPressure::kType,
+                dronecan::GnssFix2::kType, dronecan::RawImu::kType, dronecan::ArmingStatus::kType,
+                dronecan::GlobalTimeSync::kType, dronecan::NodeStatus::kType});
   return types;
 }
 

@@ -18,6 +18,7 @@ mavlink::EndpointConfig asked_for(const LinkSettings& settings) {
   if (settings.collect_inputs) return out;
   // The attitude is read by the link itself.
   out.imu_hz = out.range_hz = out.local_position_hz = out.global_position_hz = 0;
+  out.pressure_hz = out.satellites_hz = 0;
   return out;
 }
 

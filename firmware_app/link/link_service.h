@@ -48,6 +48,8 @@ class LinkService {
   /// The pipeline: what the autopilot told, oldest first; false where nothing waits. Who was away for too long hears
   /// what comes from now on.
   bool take_input(AutopilotInput* input) { return link::take_input(&inputs_, input); }
+  /// The same inputs, for who reads them through an adapter: the reader's side, of that one thread.
+  InputRing* inputs() { return &inputs_; }
   /// A thread for log and display: the newest status; false where it has been read already.
   bool take_status(LinkStatus* status) { return status_.read(status); }
 

@@ -5,7 +5,7 @@
 #include <cstdint>
 
 #include "hal/rt/time.h"
-#include "vo_core/state.h"
+#include "vo_core/tracking/state.h"
 
 namespace godwit::link {
 

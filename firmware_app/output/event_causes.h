@@ -26,7 +26,7 @@ struct EventCause {
 class EventCauses {
  public:
   /// Below this the self-check between vision and what measures beside it holds the pose for wrong: half way from "all
-  /// fits" to the least (vo_core/self_check.h).
+  /// fits" to the least (vo_core/inertial/self_check.h).
   static constexpr double kDoubt = 0.55;
 
   /// What this frame shows that the one before did not; a loss before a reset before doubt.

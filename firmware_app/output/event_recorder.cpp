@@ -17,8 +17,8 @@
 #include "firmware_app/output/event_folder.h"
 #include "firmware_app/output/event_ring.h"
 #include "firmware_app/output/event_signal.h"
-#include "firmware_app/output/patient_end.h"
 #include "hal/camera/calibration_toml.h"
+#include "hal/rt/process_end.h"
 
 namespace godwit::app {
 namespace {
@@ -67,7 +67,6 @@ struct EventRecorder::State {
   rt::FramePool* const pool;  // the copier's only: gone after finish()
   Onlooker onlooker;
   std::atomic<bool> flight_over{false};  // release: all was shown before; partner: the acquire load in copy()
-  std::atomic<bool> copied{false};       // the copier has nothing left to do
 
   mutable std::mutex mutex;
   std::condition_variable change;
@@ -221,7 +220,6 @@ void EventRecorder::State::copy() {
   const std::lock_guard<std::mutex> lock(mutex);
   close();
   ending = true;
-  copied.store(true, std::memory_order_release);
   change.notify_all();
 }
 
@@ -361,12 +359,10 @@ EventReport EventRecorder::finish(rt::TimeNs patience_ns) noexcept {
       state_->change.notify_all();
     }
     state_->onlooker.wake.post();
-    if (copier_.running()) {
-      await_end(state_->copied, state_->options.abandon, "gw-events", kCopierPatienceNs);
-      copier_.join();
-    }
+    rt::join_in_time(&copier_, kCopierPatienceNs, state_->options.abandon);
     std::unique_lock<std::mutex> lock(state_->mutex);
-    state_->change.wait_for(lock, std::chrono::nanoseconds(patience_ns), [this] { return state_->writer_ended; });
+    state_->change.wait_for(lock, std::chrono::nanoseconds(rt::patience_left_ns(patience_ns)),
+                            [this] { return state_->writer_ended; });
     if (!state_->writer_ended && !state_->abandoned) {
       state_->abandoned = true;
       state_->report.failed += state_->closed - state_->done;

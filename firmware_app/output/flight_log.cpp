@@ -17,6 +17,7 @@
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/flight_topics.h"
 #include "firmware_app/output/ulog.h"
+#include "hal/rt/process_end.h"
 
 namespace godwit::app {
 namespace {
@@ -41,6 +42,11 @@ std::string name_of(std::uint64_t number) {
 }
 }  // namespace
 
+std::string next_flight_file(const std::string& file) {
+  const std::uint64_t n = number_of(file);
+  return n > 0 ? (fs::path(file).parent_path() / name_of(n + 1)).string() : "";
+}
+
 struct FlightLog::State {
   explicit State(FlightLogOptions o) : options(std::move(o)) {}
 
@@ -50,6 +56,7 @@ struct FlightLog::State {
   std::string waiting;  // whole messages
   std::uint64_t waiting_messages = 0;
   FlightLogReport report;
+  std::uint64_t frames = 0;  // number of the newest one that was tracked; the caller's own
   bool ending = false, ended = false, has_thread = false;
 
   // The writing thread's own.
@@ -273,7 +280,24 @@ void FlightLog::frame(const FrameRecord& r) noexcept {
     put(flight_topics::frame(r), flight_topics::kFrame);
     if (r.has_pose) put(flight_topics::pose(r), flight_topics::kPose);
     if (r.mapping.messages > 0) put(flight_topics::mapper(r), flight_topics::kMapper);
+    if (r.order.number > 0) {
+      state_->frames = r.order.number;
+      put(flight_topics::order(r), flight_topics::kOrder);
+    }
     if (r.fate != FrameFate::kProcessed) text(4, r.t_capture_ns, r.reason.view());
+  } catch (const std::exception&) {
+  }
+}
+
+void FlightLog::detection(const FoundBoxes& found) noexcept {
+  try {
+    // As one: all of its boxes or none.
+    const ulog::Sample head = flight_topics::detection(found);
+    state_->put([&](std::string* out) {
+      ulog::append_sample(flight_topics::kDetection, head.bytes(), out);
+      for (const detector::Box& b : found.boxes.view())
+        ulog::append_sample(flight_topics::kBox, flight_topics::box(found.t_capture_ns, b).bytes(), out);
+    });
   } catch (const std::exception&) {
   }
 }
@@ -294,11 +318,14 @@ void FlightLog::text(int level, rt::TimeNs t_ns, std::string_view line) noexcept
 
 FlightLogReport FlightLog::finish(rt::TimeNs patience_ns) noexcept {
   try {
+    const ulog::Sample end = flight_topics::end(state_->frames, rt::monotonic_now_ns());
+    state_->put([&](std::string* out) { ulog::append_sample(flight_topics::kEnd, end.bytes(), out); });
     std::unique_lock<std::mutex> lock(state_->mutex);
     state_->ending = true;
     state_->change.notify_all();
     if (state_->has_thread) {
-      state_->change.wait_for(lock, std::chrono::nanoseconds(patience_ns), [this] { return state_->ended; });
+      state_->change.wait_for(lock, std::chrono::nanoseconds(rt::patience_left_ns(patience_ns)),
+                              [this] { return state_->ended; });
     }
     return state_->report;
   } catch (const std::exception&) {

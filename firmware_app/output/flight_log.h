@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "firmware_app/output/disc_room.h"
+#include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/frame_record.h"
 #include "hal/machine/machine_state.h"
 #include "hal/rt/log_ring.h"
@@ -36,6 +37,10 @@ struct FlightLogReport {
   std::string trouble;  ///< the last reason why nothing could be written; empty: none
 };
 
+/// The file after this one, NNNNNN.ulg, in its folder, whether it is there or not; empty: this is no name of a file
+/// that a flight log has.
+std::string next_flight_file(const std::string& file);
+
 /// Files NNNNNN.ulg, counted on from the highest number there. Each is whole in itself and ends after a whole message,
 /// also where the disc was full; where the machine dies, what the disc got since the last synchronisation is at the end
 /// of the file, perhaps cut. A disc that is full, or nearly, slow or gone costs messages and nothing else: they are
@@ -51,10 +56,12 @@ class FlightLog {
 
   /// One thread, which may allocate and lock for a moment; none of these waits for the disc.
   void frame(const FrameRecord& record) noexcept;
+  void detection(const FoundBoxes& found) noexcept;
   void event(const rt::LogEntry& entry) noexcept;
   void text(int level, rt::TimeNs t_ns, std::string_view line) noexcept;
 
-  /// Waits until all is on the disc, at most so long; then nothing is written any more.
+  /// The flight ends here. Waits until all is on the disc, at most so long; then nothing is written any more. The same
+  /// thread.
   FlightLogReport finish(rt::TimeNs patience_ns) noexcept;
   /// Any thread.
   FlightLogReport report() const noexcept;

@@ -52,6 +52,28 @@ constexpr std::array<Field, 3> kMachineFields = {
     {{"uint64_t", "timestamp"}, {"float", "temperature_c"}, {"uint8_t", "throttled"}}};
 constexpr std::array<Field, 4> kLogFields = {
     {{"uint64_t", "timestamp"}, {"uint64_t", "written_bytes"}, {"uint64_t", "dropped"}, {"uint32_t", "waiting_bytes"}}};
+// What must come back exact is in nanoseconds.
+constexpr std::array<Field, 13> kOrderFields = {{{"uint64_t", "timestamp"},
+                                                 {"int64_t", "t_capture_ns"},
+                                                 {"int64_t", "t_source_ns"},
+                                                 {"int64_t", "t_detection_ns"},
+                                                 {"int64_t", "t_reading_ns"},
+                                                 {"uint64_t", "number"},
+                                                 {"uint64_t", "readings"},
+                                                 {"double", "feature_share"},
+                                                 {"uint32_t", "sequence"},
+                                                 {"int32_t", "room"},
+                                                 {"int32_t", "deltas"},
+                                                 {"uint8_t", "has_pose"},
+                                                 {"uint8_t", "tracked"}}};
+constexpr std::array<Field, 3> kDetectionFields = {
+    {{"uint64_t", "timestamp"}, {"int64_t", "t_capture_ns"}, {"int32_t", "boxes"}}};
+constexpr std::array<Field, 5> kBoxFields = {{{"uint64_t", "timestamp"},
+                                              {"int64_t", "t_capture_ns"},
+                                              {"float[4]", "x0_y0_x1_y1"},
+                                              {"float", "score"},
+                                              {"int32_t", "class_id"}}};
+constexpr std::array<Field, 2> kEndFields = {{{"uint64_t", "timestamp"}, {"uint64_t", "frames"}}};
 
 std::uint64_t us(rt::TimeNs t_ns) {
   return static_cast<std::uint64_t>(t_ns / 1000);
@@ -73,11 +95,19 @@ std::string definitions(const std::vector<std::pair<std::string, std::string>>& 
   ulog::append_format("mapper", kMapperFields, &out);
   ulog::append_format("machine", kMachineFields, &out);
   ulog::append_format("log", kLogFields, &out);
+  ulog::append_format("order", kOrderFields, &out);
+  ulog::append_format("detection", kDetectionFields, &out);
+  ulog::append_format("box", kBoxFields, &out);
+  ulog::append_format("end", kEndFields, &out);
   ulog::append_subscription(kPose, "pose", &out);
   ulog::append_subscription(kFrame, "frame", &out);
   ulog::append_subscription(kMapper, "mapper", &out);
   ulog::append_subscription(kMachine, "machine", &out);
   ulog::append_subscription(kLog, "log", &out);
+  ulog::append_subscription(kOrder, "order", &out);
+  ulog::append_subscription(kDetection, "detection", &out);
+  ulog::append_subscription(kBox, "box", &out);
+  ulog::append_subscription(kEnd, "end", &out);
   return out;
 }
 
@@ -121,6 +151,30 @@ ulog::Sample machine(const hal::MachineState& state, rt::TimeNs t_ns) {
 
 ulog::Sample log(std::uint64_t written_bytes, std::uint64_t dropped, std::uint32_t waiting, rt::TimeNs t_ns) {
   return ulog::Sample(t_ns).put(written_bytes).put(dropped).put(waiting);
+}
+
+ulog::Sample order(const FrameRecord& r) {
+  const FlownOrder& o = r.order;
+  ulog::Sample out(r.t_capture_ns);
+  for (const rt::TimeNs t : {r.t_capture_ns, r.t_source_ns, o.t_detection_ns, o.t_reading_ns}) out.put(t);
+  out.put(o.number).put(o.readings).put(o.feature_share).put(r.sequence).put(o.room).put(o.deltas);
+  for (const bool flag : {r.has_pose, r.tracked}) out.put(static_cast<std::uint8_t>(flag));
+  return out;
+}
+
+ulog::Sample detection(const FoundBoxes& found) {
+  return ulog::Sample(found.t_capture_ns).put(found.t_capture_ns).put(static_cast<std::int32_t>(found.boxes.count));
+}
+
+ulog::Sample box(rt::TimeNs t_capture_ns, const detector::Box& b) {
+  ulog::Sample out(t_capture_ns);
+  out.put(t_capture_ns).put_all<float>(std::array{b.x0, b.y0, b.x1, b.y1});
+  out.put(b.score).put(static_cast<std::int32_t>(b.class_id));
+  return out;
+}
+
+ulog::Sample end(std::uint64_t frames, rt::TimeNs t_ns) {
+  return ulog::Sample(t_ns).put(frames);
 }
 
 }  // namespace godwit::app::flight_topics

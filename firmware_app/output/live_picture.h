@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "firmware_app/pipeline/frame_view.h"
-#include "vo_core/coarse_mask.h"
+#include "vo_core/image/coarse_mask.h"
 
 namespace godwit::app {
 

@@ -13,7 +13,7 @@
 #include <unistd.h>
 #include <vector>
 
-#include "firmware_app/output/patient_end.h"
+#include "hal/rt/process_end.h"
 #include "hal/rt/thread.h"
 
 namespace godwit::app {
@@ -89,7 +89,6 @@ struct LiveServer::State {
 
   const LiveServerOptions options;
   int listening = -1, end_fd = -1;
-  std::atomic<bool> ended{false};  // the thread has nothing left to do
   std::vector<Reader> readers;
   std::vector<pollfd> waiting;
   std::string line, views;  // of this turn; they keep their room
@@ -226,21 +225,14 @@ rt::Result<std::unique_ptr<LiveServer>> LiveServer::start(LiveServerOptions opti
     return error_of(socket, "cannot be made");
   }
   State* const s = state.get();
-  if (auto r = s->thread.start("gw-live", {},
-                               [s] {
-                                 s->run();
-                                 s->ended.store(true, std::memory_order_release);
-                               });
-      !r)
-    return r.error();
+  if (auto r = s->thread.start("gw-live", {}, [s] { s->run(); }); !r) return r.error();
   return std::unique_ptr<LiveServer>(new LiveServer(std::move(state)));
 }
 
 LiveServer::~LiveServer() {
   const std::uint64_t one = 1;
   (void)!::write(state_->end_fd, &one, sizeof one);
-  await_end(state_->ended, state_->options.abandon, "gw-live", kEndNs);
-  state_->thread.join();
+  rt::join_in_time(&state_->thread, kEndNs, state_->options.abandon);
   ::unlink(state_->options.socket.c_str());
 }
 

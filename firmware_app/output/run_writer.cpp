@@ -118,6 +118,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
       first_pose_t_ns_ = r.t_source_ns;
     }
     ++tracked_;
+    inertial_ = r.inertial;
     maps_ = std::max(maps_, r.map_id);
     ms_.push_back(ms);
     thread_cpu_ms_.push_back(thread_cpu_ms);
@@ -212,6 +213,8 @@ RunSummary RunWriter::summary() const {
   s.thread_cpu_ms = statistics_of(thread_cpu_ms_);
   s.proc_cpu_ms = statistics_of(proc_cpu_ms_);
   s.age_ms = statistics_of(age_ms_);
+  s.aided_log_sigma = inertial_.aided_log_sigma;
+  s.aid_share = inertial_.aid_share;
   if (counters_.due > 1 && last_t_ns_ > first_t_ns_) {
     // n pictures span n - 1 intervals.
     s.pictures_hz = static_cast<double>(counters_.due - 1) / rt::to_seconds(last_t_ns_ - first_t_ns_);

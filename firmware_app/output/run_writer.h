@@ -34,6 +34,9 @@ struct RunSummary {
   double pictures_hz = 0, poses_hz = 0;       ///< due, and tracked, a second of the source's time; 0: too few
   Statistics ms, thread_cpu_ms, proc_cpu_ms;  ///< over tracked frames
   Statistics age_ms;                          ///< real pace: from capture to pose, over tracked frames
+  /// Of the last tracked frame; share: of what rangefinder, barometer and satellites say of lengths (hal::AidKind).
+  double aided_log_sigma = 0;
+  std::array<double, hal::kAidKinds> aid_share{};
 };
 
 /// Writes line by line while the run goes on; the files get their names in finish(), summary.json last, so a folder
@@ -70,6 +73,7 @@ class RunWriter final : public FrameSink {
   std::string line_;
   bool with_age_ = false;
   vo::State state_ = vo::State::kInitialising;  ///< of the last processed frame: what holds while pictures are missing
+  InertialRecord inertial_;                     ///< of the last tracked frame
   PipelineCounters counters_;
   PipelineCounters pipeline_;  ///< as set_pipeline() was told
   std::uint64_t tracked_ = 0;

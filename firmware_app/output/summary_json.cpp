@@ -109,6 +109,11 @@ std::string summary_json(const RunDescription& d, const RunSummary& s, const Pip
   for (const rt::LogEntry& e : told.events) j["events"].push_back(of(e, told.first_t_ns));
   j["events_not_kept"] = told.events_not_kept + pipeline.events_lost;
   if (pipeline.imu) j["imu"] = of(*pipeline.imu);
+  if (s.aided_log_sigma > 0) {
+    j["aids"] = {{"scale_sigma", fine(s.aided_log_sigma)}};
+    for (std::size_t i = 0; i < s.aid_share.size(); ++i)
+      j["aids"][hal::aid_name(static_cast<hal::AidKind>(i))] = fine(s.aid_share[i]);
+  }
   j["records_lost"] = pipeline.records_lost;
   j["threads"] = Json::array();
   for (const ThreadReport& t : pipeline.threads) j["threads"].push_back(of(t));

@@ -59,6 +59,7 @@ struct Channels {
   ImuRing samples;                                   ///< IMU, or feeder -> tracker
   rt::SpscRing<DetectorJob, 2> jobs;                 ///< tracker -> detector; one under way at a time
   rt::SpscRing<DetectionEnd, 2> detections;          ///< detector -> tracker
+  rt::SpscRing<FoundBoxes, 16> found;                ///< detector -> collector
   rt::TripleBuffer<hal::MachineState> machine;       ///< collector -> tracker
   rt::SpscRing<Fed, kRecordRing> fed;                ///< feeder -> collector: pictures not flown
   rt::SpscRing<FrameRecord, kRecordRing> tracked;    ///< tracker -> collector
@@ -78,7 +79,7 @@ struct Channels {
   /// Tracker -> collector: frames whose records are in the ring, or lost. Release after the push, acquire before the
   /// look: who sees n frames through also finds their records.
   std::atomic<std::uint64_t> finished{0};
-  /// Feeder and tracker -> collector: records that found their ring full. Relaxed; a counter.
+  /// Feeder, tracker and detector -> collector: records that found their ring full. Relaxed; a counter.
   std::atomic<std::uint64_t> records_lost{0};
   /// Tracker -> feeder: frames it is through with, and the mapper's backlog as it last saw it. Relaxed, as above.
   std::atomic<std::uint64_t> tracked_count{0};

@@ -1,6 +1,7 @@
 #include "firmware_app/pipeline/collector.h"
 
 #include "firmware_app/pipeline/guarded.h"
+#include "hal/rt/process_end.h"
 
 namespace godwit::app {
 namespace {
@@ -21,6 +22,7 @@ rt::Result<void> Collector::collect(const std::vector<std::string>& refused, con
     const bool all_done = channels_->tracker_done.load(std::memory_order_acquire);
     take_records(all_done, counters);
     take_events();
+    take_detections();
     if (all_done) break;
     if (!taken_.ok() || stop_asked(options_, stop)) channels_->stop.store(true, std::memory_order_relaxed);
     const rt::TimeNs now_ns = rt::monotonic_now_ns();
@@ -77,6 +79,11 @@ void Collector::take_events() {
   }
 }
 
+void Collector::take_detections() {
+  FoundBoxes found;
+  while (channels_->found.try_pop(&found)) guarded([&] { sink_->detection(found); });
+}
+
 void Collector::look_at_machine(rt::TimeNs now_ns) {
   if (options_.machine == nullptr || !options_.newest_frame || now_ns < t_machine_due_ns_) return;
   guarded([&] { channels_->machine.write(options_.machine->read()); });
@@ -101,7 +108,7 @@ void Collector::look_for_silence(rt::TimeNs now_ns) {
 void Collector::insist_on_end(rt::TimeNs now_ns) {
   if (!channels_->stop.load(std::memory_order_relaxed) || !options_.abandon) return;
   if (t_stop_ns_ == 0) t_stop_ns_ = now_ns;
-  if (now_ns - t_stop_ns_ <= kEndPatienceNs) return;
+  if (now_ns <= rt::give_up_ns(t_stop_ns_, kEndPatienceNs)) return;
   options_.abandon(channels_->feeder_done.load(std::memory_order_acquire) ? "gw-tracker" : "gw-camera");
 }
 

@@ -23,8 +23,10 @@ class Collector {
 
   /// Until the tracker's thread has ended and its last record is taken. Raises Channels::stop when it is asked to end,
   /// or when the sink fails, whose error it returns. refused: what the machine refused of the threads' plans.
+  /// take_detections() once more when the detector's thread has been joined: its last ones may have been used.
   rt::Result<void> collect(const std::vector<std::string>& refused, const std::atomic<bool>& stop,
                            PipelineCounters* counters);
+  void take_detections();
 
  private:
   bool take_one(FrameRecord* record, bool all_done);

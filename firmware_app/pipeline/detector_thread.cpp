@@ -23,6 +23,9 @@ void DetectorThread::run() {
     }
     const bool found = detect_guarded(detector_, job);
     back.give_back(job.frame.slot);
+    const FoundBoxes* const boxes = found ? detector_->found() : nullptr;
+    if (boxes != nullptr && !channels_->found.try_push(*boxes))
+      channels_->records_lost.fetch_add(1, std::memory_order_relaxed);
     // Never full: the scheduler gives no second order before the first has come back.
     const bool pushed = channels_->detections.try_push({rt::monotonic_now_ns(), job.frame.meta.t_capture_ns, !found});
     assert(pushed);

@@ -10,8 +10,10 @@
 #include <limits>
 #include <string_view>
 
+#include "firmware_app/pipeline/flown_order.h"
+#include "hal/aid/aid.h"
 #include "hal/rt/time.h"
-#include "vo_core/state.h"
+#include "vo_core/tracking/state.h"
 
 namespace godwit::app {
 
@@ -80,6 +82,8 @@ struct InertialRecord {
   std::array<double, 3> accel_bias{};  ///< [m/s^2]
   std::array<double, 3> mounting{};    ///< rotation vector right of the configured R_body_cam: what that has wrong
   double time_offset_s = 0;            ///< a picture stamped t was taken at t + this on the inertial sensor's clock
+  double aided_log_sigma = 0;          ///< of the scale by what stands beside that sensor; 0: it says nothing
+  std::array<double, hal::kAidKinds> aid_share{};  ///< of that, by hal::AidKind; together 1, or 0
 };
 
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
@@ -130,6 +134,7 @@ struct FrameRecord {
   double median_depth = 0;           ///< of the points behind the pose [map units]
   const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
   MappingRecord mapping;             ///< what the mapper has done since the frame before
+  FlownOrder order;                  ///< what it found when it was flown; processed frames
   Measured why;                      ///< why the state is what it is; processed frames
   ShortText reason;                  ///< the same in words, or why the picture was not flown
 };

@@ -5,7 +5,7 @@
 
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/image.h"
-#include "vo_core/map_exchange.h"
+#include "vo_core/map/map_exchange.h"
 
 namespace godwit::app {
 

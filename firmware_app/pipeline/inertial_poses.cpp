@@ -15,6 +15,9 @@ constexpr double kTurnSigmaRad = 5e-3;
 constexpr double kMostRate = 100;    // [rad/s]
 constexpr double kMostForce = 1000;  // [m/s^2]
 
+constexpr std::array<vo::ScaleSource, hal::kAidKinds> kSources = {vo::ScaleSource::kRange, vo::ScaleSource::kBarometer,
+                                                                  vo::ScaleSource::kSatellites};
+
 /// All of vision's numbers that are used are numbers.
 bool finite(const vo::FrameResult& r) {
   return r.T_world_cam.R.allFinite() && r.T_world_cam.t.allFinite() && r.covariance.allFinite() &&
@@ -80,6 +83,11 @@ void InertialPoses::take(const hal::ImuSample& s) {
   navigation_->add(reading);
 }
 
+void InertialPoses::take(const hal::AidSample& s) {
+  odometry_->take(vo::AidReading{kSources[static_cast<std::size_t>(s.kind)], s.t_ns + shift_ns_,
+                                 Eigen::Vector3d(s.value_m.data()), s.sigma_m});
+}
+
 vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
   vo::RotationPrior prior;
   if (t_last_ns_ > 0 && odometry_->camera_turn(t_last_ns_, t_ns + shift_ns_, &prior.R_cur_ref))
@@ -115,6 +123,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.relative_covariance = result.relative.covariance;
   if (result.relative.keyframe_id != 0) seen.relative_age_ns = t_ns - shift_ns_ - result.relative.t_keyframe_ns;
   seen.median_depth = result.median_depth;
+  seen.points = {result.points.at.data(), static_cast<std::size_t>(result.points.count)};
   seen.map_moved = result.map_moved;
   seen.moved_by = result.moved_by;
   seen.turned_by = result.turned_by;
@@ -155,6 +164,9 @@ void InertialPoses::tell_sensor(double log_scale_sigma) {
   Eigen::Map<Eigen::Vector3d>(sensor_.gyro_bias.data()) = x.bias.gyro;
   Eigen::Map<Eigen::Vector3d>(sensor_.accel_bias.data()) = x.bias.accel;
   Eigen::Map<Eigen::Vector3d>(sensor_.mounting.data()) = x.mounting;
+  const vo::ScaleState& aided = odometry_->aided_scale();
+  sensor_.aided_log_sigma = aided.known() ? aided.log_sigma() : 0;
+  for (std::size_t i = 0; i < kSources.size(); ++i) sensor_.aid_share[i] = aided.share(kSources[i]);
   sensor_.time_offset_s = rt::to_seconds(shift_ns_) + x.time_offset_s;
 }
 

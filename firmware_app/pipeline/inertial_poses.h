@@ -6,10 +6,11 @@
 #include <memory>
 
 #include "firmware_app/pipeline/frame_record.h"
+#include "hal/aid/aid.h"
 #include "hal/imu/imu.h"
-#include "vo_core/inertial_odometry.h"
-#include "vo_core/navigation_frame.h"
-#include "vo_core/tracker.h"
+#include "vo_core/inertial/inertial_odometry.h"
+#include "vo_core/inertial/navigation_frame.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::app {
 
@@ -22,6 +23,7 @@ class InertialPoses {
   InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s = 0);
 
   void take(const hal::ImuSample& sample);
+  void take(const hal::AidSample& sample);
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
   /// bias is not known. Before the frame at t_ns is tracked.
   vo::RotationPrior turn_since_last(rt::TimeNs t_ns) const;

@@ -5,7 +5,7 @@
 #include <limits>
 
 #include "firmware_app/pipeline/mask_source.h"
-#include "vo_core/tracker.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::app {
 

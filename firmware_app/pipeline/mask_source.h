@@ -6,7 +6,7 @@
 
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/image.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 
@@ -39,6 +39,8 @@ class MaskSource {
   virtual rt::TimeNs late_mask(rt::TimeNs /*t_capture_ns*/, rt::TimeNs known_ns, rt::MaskPyramidView* /*mask*/) {
     return known_ns;
   }
+  /// Tracker thread. Capture time of the picture whose detection came in with the last mask_for(); 0: none did.
+  virtual rt::TimeNs t_detection_ns() const { return 0; }
   /// Tracker thread, after each frame that was tracked. No allocation, no lock, never waits, bounded.
   virtual void frame_tracked(const TrackedFrame& /*frame*/) {}
 };

@@ -5,9 +5,9 @@
 #include "firmware_app/pipeline/inertial_poses.h"
 #include "firmware_app/pipeline/mask_exchange.h"
 #include "hal/rt/spsc_ring.h"
-#include "vo_core/mapper.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/tracker.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::app {
 namespace {
@@ -69,6 +69,12 @@ class OdometryStage final : public FrameStage {
                   result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
     if (masks_ != nullptr) exchange_.frame_done(frame.meta.t_capture_ns, result);
     fill(result, record);
+    order_.room = result.order.room;
+    order_.deltas = result.order.deltas;
+    order_.feature_share = input.feature_share;
+    order_.t_detection_ns = masks_ != nullptr ? masks_->t_detection_ns() : 0;
+    ++order_.number;
+    record->order = order_;
     take_mapping(&record->mapping);
     if (inertial_ != nullptr) inertial_->make_metric(result, frame.meta.t_capture_ns, record);
     vo::SlotRelease release;
@@ -76,10 +82,21 @@ class OdometryStage final : public FrameStage {
   }
 
   void take_imu(const hal::ImuSample& sample) override {
+    ++order_.readings;
+    order_.t_reading_ns = sample.t_ns;
+    if (inertial_ != nullptr) inertial_->take(sample);
+  }
+
+  void take_aid(const hal::AidSample& sample) override {
     if (inertial_ != nullptr) inertial_->take(sample);
   }
 
   void limit_features(double share) override { feature_share_ = share; }
+
+  void expect(const FlownOrder& order) override {
+    tracker_->expect({order.room, order.deltas});
+    feature_share_ = order.feature_share;
+  }
 
   int mapper_backlog() const override { return kMessages - static_cast<int>(channel_->messages.free_items()); }
 
@@ -203,6 +220,7 @@ class OdometryStage final : public FrameStage {
   const bool gyro_helps_;
   std::unique_ptr<InertialPoses> inertial_;  ///< null: vision alone
   double feature_share_ = 1.0;
+  FlownOrder order_;  ///< of the last frame, and the readings since
 };
 
 }  // namespace

@@ -10,7 +10,7 @@
 #include "firmware_app/pipeline/stage.h"
 #include "hal/camera/calibration.h"
 #include "hal/rt/result.h"
-#include "vo_core/camera_model.h"
+#include "vo_core/geometry/camera_model.h"
 
 namespace godwit::app {
 
@@ -21,7 +21,7 @@ struct OdometryOptions {
   /// Rolling shutter: time from the first row to the last [frame intervals].
   double readout_frames = 0;
   double readout_s = 0;  ///< the same in seconds
-  bool gate = false;     ///< find what moves by geometry (vo_core/motion_gate.h) and leave it out
+  bool gate = false;     ///< find what moves by geometry (vo_core/tracking/motion_gate.h) and leave it out
   /// Use the inertial sensor: poses are then metric and level, and only frames with such a pose count as tracked.
   /// Row by row; maps camera points into the body, whose axes the sensor's readings have.
   std::optional<std::array<double, 16>> inertial_T_body_cam;

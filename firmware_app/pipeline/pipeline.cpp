@@ -2,6 +2,7 @@
 
 #include <cassert>
 
+#include "firmware_app/pipeline/as_flown.h"
 #include "firmware_app/pipeline/detection_orders.h"
 #include "firmware_app/pipeline/detector_thread.h"
 #include "firmware_app/pipeline/feeder.h"
@@ -55,6 +56,9 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
         const rt::RtScope real_time;
         hal::ImuSample sample;
         while (options.imu != nullptr && imu.next_until(handle.meta.t_capture_ns, &sample)) stage->take_imu(sample);
+        hal::AidSample aid;
+        while (options.aids != nullptr && options.aids->next_until(handle.meta.t_capture_ns, &aid))
+          stage->take_aid(aid);
         track_frame(stage, handle, &record);
         if (options.tap != nullptr) options.tap->frame_done(record);
         const rt::TimeNs before = rt::thread_cpu_now_ns();
@@ -68,6 +72,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
         if (const auto job = orders.next(handle, record.is_keyframe, tracked_count, &scheduler, &back)) {
           const bool found = detect_guarded(options.detector, *job);
           back.give_back(job->frame.slot);
+          if (const FoundBoxes* const boxes = found ? options.detector->found() : nullptr) sink->detection(*boxes);
           scheduler.detection_done(tracked_count, job->frame.meta.t_capture_ns, !found);
         }
         ++tracked_count;
@@ -90,6 +95,7 @@ rt::Result<PipelineCounters> run_pipeline(hal::Camera* camera, FrameStage* stage
                                           const std::atomic<bool>& stop) {
   assert(pool->layout().readers == (options.detector != nullptr ? kFrameReadersWithDetector : kFrameReaders));
   assert(pool->layout().onlooker == (options.onlooker != nullptr));
+  if (options.as_flown != nullptr) return run_as_flown(camera, stage, pool, options, sink, stop);
   if (options.sequential) return run_sequential(camera, stage, pool, options, sink, stop);
   ThreadedPipeline pipeline(camera, stage, pool, options);
   return pipeline.run(sink, stop);

@@ -34,6 +34,8 @@ class FrameSink {
   virtual void started(const std::vector<std::string>& /*refused*/) {}
   /// Error: the run ends with it.
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
+  /// What the detector found in a picture. Not in step with take().
+  virtual void detection(const FoundBoxes& /*found*/) {}
   /// What a real-time thread had to say: changes of state and of rung, a silent camera. In the order in which they
   /// happened, but not in step with take(). The entry's text is static.
   virtual void event(const rt::LogEntry& /*entry*/) {}
@@ -69,6 +71,8 @@ struct PipelineThreads {
 /// How long a thread may take to end.
 constexpr rt::TimeNs kEndPatienceNs = 4 * rt::kNsPerSecond;
 
+struct FlownLog;
+
 struct PipelineOptions {
   bool sequential = false;  ///< everything in the calling thread, in a fixed order
   /// Threads only. True (a camera, or a replay at real pace): the camera is never held up; the tracker takes the newest
@@ -78,6 +82,7 @@ struct PipelineOptions {
   FrameTap* tap = nullptr;            ///< may be null
   DetectorStage* detector = nullptr;  ///< may be null; with one the pool has kFrameReadersWithDetector readers
   hal::Imu* imu = nullptr;            ///< may be null; real pace: read by a thread of its own
+  hal::AidSource* aids = nullptr;     ///< may be null; asked by the tracker before each frame
   /// May be null; gets each picture and reading (pipeline/onlooker.h). With one the pool's layout has an onlooker.
   Onlooker* onlooker = nullptr;
   rt::TimeNs imu_silence_ns = 500 * rt::kNsPerMs;  ///< an IMU of which nothing is newer is called silent
@@ -86,9 +91,20 @@ struct PipelineOptions {
   const hal::MachineMonitor* machine = nullptr;    ///< may be null; read once a second at real pace
   rt::Heartbeats* heartbeats = nullptr;            ///< may be null; threads at real pace beat in it
   const std::atomic<bool>* also_stop = nullptr;    ///< may be null; a second flag that ends the run
-  /// Called in the caller's thread where a thread does not end kEndPatienceNs after it was told to; must not return.
-  /// Null: it is waited for, and so is a replay as fast as it goes that has come to its end by itself.
+  /// Called in the caller's thread where a thread does not end kEndPatienceNs after it was told to, or by the process's
+  /// end where that comes before (hal/rt/process_end.h); must not return. Null: it is waited for, and so is a replay as
+  /// fast as it goes that has come to its end by itself.
   std::function<void(const char* thread)> abandon;
+  /// May be null; the flight that is flown again (pipeline/as_flown.h), whatever else is said above of threads and
+  /// pace.
+  const FlownLog* as_flown = nullptr;
+};
+
+/// How a flight that was flown again compares with its log.
+struct AsFlownCounters {
+  std::uint64_t poses = 0;          ///< compared
+  std::uint64_t unequal = 0;        ///< frames whose pose, or what they found, is not that of the log to the bit
+  std::uint32_t first_unequal = 0;  ///< picture of the first of them
 };
 
 /// How one thread fared.
@@ -111,6 +127,7 @@ struct PipelineCounters {
   SchedulerCounters scheduler;     ///< real pace
   Rung rung = Rung::kFull;         ///< at the end
   std::vector<ThreadReport> threads;
+  AsFlownCounters as_flown;
   std::optional<ImuCounters> imu;  ///< if there was one
 };
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "firmware_app/pipeline/frame_record.h"
+#include "hal/aid/aid.h"
 #include "hal/imu/imu.h"
 #include "hal/rt/frame_pool.h"
 
@@ -32,9 +33,14 @@ class FrameStage {
   /// capture and has come is handed over before that frame, later ones perhaps too. No allocation, no lock, bounded. A
   /// stage without inertial part need not care.
   virtual void take_imu(const hal::ImuSample& /*sample*/) {}
+  /// Tracker thread. What knows metres beside the camera (hal/aid/aid.h), under the same terms.
+  virtual void take_aid(const hal::AidSample& /*sample*/) {}
   /// Tracker thread. From the next frame on this share of the features is enough; 1: all. A stage without features need
   /// not care.
   virtual void limit_features(double /*share*/) {}
+  /// Tracker thread. The next frame finds the mapper like this, and has these features: a flight is flown again. The
+  /// mapper is at least as far as it was then. A stage without mapper need not care.
+  virtual void expect(const FlownOrder& /*order*/) {}
   /// Tracker thread. Work sent to the mapper and not done yet, in messages.
   virtual int mapper_backlog() const = 0;
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "firmware_app/pipeline/collector.h"
+#include "hal/rt/process_end.h"
 
 namespace godwit::app {
 namespace {
@@ -62,7 +63,7 @@ void ThreadedPipeline::await_end(const PartThread& thread, const std::atomic<boo
     const bool wanted =
         options_.newest_frame || stop_asked(options_, stop) || channels_->stop.load(std::memory_order_relaxed);
     if (wanted && t_wanted_ns == 0) t_wanted_ns = now_ns;
-    if (wanted && now_ns - t_wanted_ns > kEndPatienceNs) options_.abandon(thread.name());
+    if (wanted && now_ns > rt::give_up_ns(t_wanted_ns, kEndPatienceNs)) options_.abandon(thread.name());
     channels_->collector_wake.wait_for(kSleepNs);
   }
 }
@@ -98,6 +99,7 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
   Collector collector(camera_, options_, channels_.get(), sink);
   const auto taken = collector.collect(refused, stop, &counters);
   join(stop, &counters);
+  collector.take_detections();
   if (!taken.ok()) return taken.error();
   return counters;
 }

@@ -8,6 +8,9 @@
 namespace godwit::app {
 namespace {
 
+/// A second of the fastest barometer, and more: what has piled up is old.
+constexpr int kMostAids = 128;
+
 SchedulerOptions scheduler_options(const PipelineOptions& options) {
   SchedulerOptions out = options.scheduler;
   out.detector = options.detector != nullptr;
@@ -68,6 +71,11 @@ void TrackerThread::track_one(rt::FrameHandle handle) {
   const int dropped = newest_frame() ? take_newest(&handle) : 0;
   take_samples(handle.meta.t_capture_ns);
   look_for_imu_silence(handle.meta.t_capture_ns);
+  hal::AidSample aid;
+  for (int i = 0; i < kMostAids && options_.aids != nullptr; ++i) {
+    if (!options_.aids->next_until(handle.meta.t_capture_ns, &aid)) break;
+    stage_->take_aid(aid);
+  }
   FrameRecord record;
   if (options_.tap != nullptr) options_.tap->frame_begun();
   track_frame(stage_, handle, &record);

@@ -6,7 +6,8 @@
 namespace godwit::app {
 
 /// Calls run with a flag that SIGINT and SIGTERM raise, and returns what it returns. An exception that comes out of it
-/// is told on the error stream under the program's name: kExitFailed. SIGHUP and SIGPIPE are ignored; a standard stream
+/// is told on the error stream under the program's name: kExitFailed; so is what cannot be written to the standard
+/// output. SIGHUP and SIGPIPE are ignored; a standard stream
 /// that is closed becomes one that goes nowhere. Once in a process, before any file is opened.
 int run_program(const char* name, int (*run)(int argc, char** argv, const std::atomic<bool>& stop), int argc,
                 char** argv);

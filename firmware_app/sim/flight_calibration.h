@@ -2,7 +2,7 @@
 #pragma once
 
 #include "hal/camera/calibration.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

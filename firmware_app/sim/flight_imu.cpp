@@ -1,6 +1,6 @@
 #include "firmware_app/sim/flight_imu.h"
 
-#include "hal/sim/sim_imu.h"
+#include "hal/sim/sensors/sim_imu.h"
 
 namespace godwit::app {
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "hal/imu/replay/imu_record.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

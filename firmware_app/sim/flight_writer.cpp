@@ -12,7 +12,7 @@
 
 #include "firmware_app/output/progress_bar.h"
 #include "hal/atomic_file.h"
-#include "hal/sim/sim_baro.h"
+#include "hal/sim/flight/sim_baro.h"
 
 namespace godwit::app {
 namespace {

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "hal/rt/result.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

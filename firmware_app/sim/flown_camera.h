@@ -9,7 +9,7 @@
 #include "firmware_app/sim/truth_masks.h"
 #include "hal/replay_time.h"
 #include "hal/rt/result.h"
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 
 namespace godwit::app {
 

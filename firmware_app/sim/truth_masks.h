@@ -7,7 +7,7 @@
 #include "detector/box_mask.h"
 #include "firmware_app/pipeline/mask_source.h"
 #include "hal/rt/spsc_ring.h"
-#include "hal/sim/renderer.h"
+#include "hal/sim/render/renderer.h"
 
 namespace godwit::app {
 

@@ -61,6 +61,7 @@ void* Thread::run(void* self) {
   thread->body_();
   // Now, because a C library as old as 2.31 gives the stack's pages back to the kernel when its thread ends.
   thread->stack_at_end_ = thread->stack_used_now();
+  thread->ended_.store(true, std::memory_order_release);
   return nullptr;
 }
 
@@ -75,6 +76,8 @@ Result<void> Thread::start(const char* name, const ThreadPlan& plan, std::functi
   }
   std::memset(stack_ + kGuardBytes, kUntouched, kThreadStackBytes);
   stack_at_end_ = 0;
+  ended_.store(false, std::memory_order_relaxed);  // pthread_create() orders it
+  name_ = name;
   body_ = std::move(body);
   pthread_attr_t attributes;
   pthread_attr_init(&attributes);

@@ -1,6 +1,7 @@
 // A thread with a name, processors and a real-time priority, on a stack that is fixed, touched and measured.
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -48,6 +49,9 @@ class Thread {
   void join();
 
   bool running() const { return running_; }  ///< started and not joined
+  /// Body has returned; a join takes no time. Acquire, partner: the release store after it.
+  bool ended() const { return ended_.load(std::memory_order_acquire); }
+  const char* name() const { return name_.c_str(); }  ///< as it was started
 
   /// What of the plan the machine refused, in words; empty: nothing.
   const std::string& warning() const { return warning_; }
@@ -59,11 +63,12 @@ class Thread {
   std::size_t stack_used_now() const;
 
   std::function<void()> body_;
-  std::string warning_;
+  std::string name_, warning_;
   WakeUp planned_;
   std::uint8_t* stack_ = nullptr;  ///< guard page first
   std::size_t stack_at_end_ = 0;   ///< the thread's own until join(), which orders it
   pthread_t id_{};
+  std::atomic<bool> ended_{false};
   bool running_ = false;
 };
 

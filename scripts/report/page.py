@@ -60,7 +60,7 @@ def section(title, what, body, anchor):
 
 def heading(n, run, colour):
     s = run.summary
-    how = f'{s["sequence"]} · {"one thread" if s["mode"] == "sequential" else "threads"}, pace {s["pace"]} · {s["version"]}'
+    how = f'{s["sequence"]} · {"threads" if s["mode"] == "threads" else "one thread"}, pace {s["pace"]} · {s["version"]}'
     return f'<h3><span class="dot" style="background:{colour}"></span>{escape(run.name)}</h3><p class="what">{escape(how)}</p>'
 
 

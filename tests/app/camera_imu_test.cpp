@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 #include <random>
 
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::app {
 namespace camera_imu_test {

@@ -47,6 +47,18 @@ TEST(GodwitCheck, ASimulatedCameraIsRefusedOnARealBus) {
   EXPECT_EQ(code("[link]\nmavlink = \"udp:127.0.0.1:14550\"\n"), 0);
 }
 
+TEST(GodwitCheck, WhatCannotBeSaidIsToldAndNoSuccess) {
+  const test::TempFolder folder;
+  const std::string check = GODWIT_TOOL " check --config " + write_config(folder, kSmallFlight);
+  ASSERT_EQ(test::run_command(check).exit_code, 0);
+  for (const std::string& command :
+       {check, std::string(GODWIT_TOOL " --help"), std::string(GODWIT_TOOL " --version")}) {
+    const auto [code, said] = test::run_command("( " + command + " >/dev/full )");
+    EXPECT_EQ(code, 1) << command;
+    EXPECT_THAT(said, HasSubstr("godwit: standard output: ")) << command;
+  }
+}
+
 TEST(GodwitCheck, TheFolderOfTheLinkMustBeThere) {
   const test::TempFolder folder;
   const std::string config =

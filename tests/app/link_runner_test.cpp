@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 #include <mutex>
+#include <thread>
 #include <unistd.h>
 
+#include "hal/rt/process_end.h"
 #include "hal/rt/wake_up.h"
 #include "tests/link/serial_line.h"
 #include "tests/support/standing_thread.h"
@@ -109,6 +111,26 @@ TEST_F(LinkRunnerTest, AKeeperThatHangsIsNamedAndKeepsNoEndAway) {
   const auto condition = last_condition();
   EXPECT_EQ(abandoned_, "gw-link-keep");
   EXPECT_EQ(condition.reasons & link::kProcessFailed, link::kProcessFailed);
+}
+
+// 2 s are left of 3; its own patience is 4.
+TEST_F(LinkRunnerTest, ItWaitsNoLongerThanUntilTheProcessIsToEnd) {
+  rt::begin_process_end();
+  rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerSecond);
+  test::stop_thread("gw-link");
+  std::atomic<bool> over{false};
+  std::thread at_last([&] {
+    rt::sleep_until_ns(rt::process_end_ns());
+    // Turns, and not a time: on a machine that is busy they last longer, as finish()'s own do.
+    for (int turn = 0; turn < 1500 && !over.load(); ++turn) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    test::let_thread_go();
+  });
+  runner_->finish();
+  over.store(true);
+  at_last.join();
+  EXPECT_GE(rt::monotonic_now_ns(), rt::process_end_ns());
+  rt::forget_process_end();
+  EXPECT_EQ(abandoned_, "gw-link");
 }
 
 TEST_F(LinkRunnerTest, ARepeatedPictureIsNotPublishedAndCounted) {

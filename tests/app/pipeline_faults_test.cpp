@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "firmware_app/pipeline/pipeline.h"
+#include "hal/rt/process_end.h"
 #include "hal/rt/wake_up.h"
 
 namespace godwit::app::pipeline_faults_test {
@@ -194,6 +195,32 @@ TEST_F(PipelineFaults, ADetectorThatHangsKeepsNoEndAway) {
   sink.on_turn = [&] { stop.store(stop.load() || detector.asked.load() > 0); };
   ASSERT_TRUE(go().ok());
   ASSERT_EQ(abandoned.size(), 1u);
+  EXPECT_EQ(abandoned[0], "gw-detector");
+}
+
+// No time is left; its own patience is 4 s.
+TEST_F(PipelineFaults, NobodyIsWaitedForLongerThanUntilTheProcessIsToEnd) {
+  rt::begin_process_end();
+  nap(rt::kProcessEndNs);
+  detector.trap.set.store(true);
+  std::atomic<bool> over{false};
+  std::thread at_last;
+  sink.on_turn = [&] {
+    if (stop.load() || detector.asked.load() == 0) return;
+    stop.store(true);
+    at_last = std::thread([&] {
+      // Turns, and not a time: on a machine that is busy they last longer, as those of who waits do.
+      const auto turns = (kEndPatienceNs - rt::kNsPerSecond) / rt::kNsPerMs;
+      for (rt::TimeNs turn = 0; turn < turns && !over.load(); ++turn) nap(rt::kNsPerMs);
+      free_all();
+    });
+  };
+  const auto run = go();
+  over.store(true);
+  rt::forget_process_end();
+  at_last.join();
+  ASSERT_TRUE(run.ok());
+  ASSERT_FALSE(abandoned.empty());
   EXPECT_EQ(abandoned[0], "gw-detector");
 }
 

@@ -7,7 +7,7 @@
 #include "firmware_app/link/odometry_message.h"
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
-#include "vo_core/tracker.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::app {
 namespace pose_sampler_test {

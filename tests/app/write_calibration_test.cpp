@@ -10,7 +10,7 @@
 #include "hal/camera/calibration.h"
 #include "tests/support/run_command.h"
 #include "tests/support/temp_folder.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace {
 

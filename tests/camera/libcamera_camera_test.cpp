@@ -8,6 +8,7 @@
 
 #include "tests/camera/fake_libcamera.h"
 #include "tests/camera/no_cost.h"
+#include "tests/support/abandoned.h"
 
 namespace godwit::hal::libcamera_camera_test {
 namespace {
@@ -317,6 +318,11 @@ TEST(LibcameraChoice, ByNumberIdOrAPartOfIt) {
   EXPECT_THAT(choose_libcamera("index:", cameras).error, HasSubstr("a number must follow"));
   EXPECT_THAT(choose_libcamera("imx", cameras).error, HasSubstr("fits 2 cameras"));
   EXPECT_THAT(choose_libcamera("ov", {}).error, HasSubstr("libcamera finds no camera"));
+}
+
+TEST_F(LibcameraCameraTest, AThreadThatHangsIsNamedAndKeepsNoEndAway) {
+  open();
+  EXPECT_EQ(test::abandoned_while_stands("gw-libcamera", [&] { camera_.reset(); }), "gw-libcamera");
 }
 
 // As it was built: with libcamera its library loads and finds what there is, once at a time; without it the words say

@@ -1,7 +1,10 @@
 // Pictures decoded with libjpeg-turbo and libpng against OpenCV's: equal to the bit, so that recordings fly the same.
+#include <algorithm>
+#include <array>
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <vector>
 
 #include "hal/camera/replay/picture_file.h"
 #include "tests/support/temp_folder.h"
@@ -66,6 +69,19 @@ TEST(PictureFile, AHugeSizeIsRefusedByItsHeader) {
   DecodedPicture out;
   const std::string wrong = decode_picture({kPng, sizeof(kPng) - 1}, &out);
   EXPECT_EQ(wrong, "60000 x 60000 pixels; at most 8192 x 8192 are read");
+  EXPECT_TRUE(out.pixels.empty());
+}
+
+TEST(PictureFile, AHugeSizeOfAJpegIsRefusedByItsHeader) {
+  std::vector<std::uint8_t> jpeg;
+  ASSERT_TRUE(cv::imencode(".jpg", noise(1, CV_8U), jpeg));
+  const std::array<std::uint8_t, 2> frame = {0xFF, 0xC0};
+  const auto at = std::search(jpeg.begin(), jpeg.end(), frame.begin(), frame.end());
+  ASSERT_GT(jpeg.end() - at, 9);
+  // Marker, length, bits, then height and width: 60000.
+  for (const int side : {5, 7}) at[side] = 0xEA, at[side + 1] = 0x60;
+  DecodedPicture out;
+  EXPECT_EQ(decode_picture(jpeg, &out), "60000 x 60000 pixels; at most 8192 x 8192 are read");
   EXPECT_TRUE(out.pixels.empty());
 }
 

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
+#include <unistd.h>
 #include <vector>
 
 #include "hal/rt/frame_pool.h"
@@ -276,11 +277,13 @@ TEST(ReplayCamera, AGapOfAnHourAtRealPaceIsWaitedForInPieces) {
   const rt::MutableImageView view{grey.data, grey.cols, grey.rows, grey.cols};
   CapturedFrame frame;
   ASSERT_EQ(camera->next(view, nullptr, rt::kNsPerSecond, &frame, nullptr), CameraStatus::kFrame);
+  alarm(60);  // one that waits for the hour fails, and is not waited for
   for (int i = 0; i < 3; ++i) {
     const rt::TimeNs begin = rt::monotonic_now_ns();
     EXPECT_EQ(camera->next(view, nullptr, 20 * rt::kNsPerMs, &frame, nullptr), CameraStatus::kTimeout);
     EXPECT_GE(rt::monotonic_now_ns() - begin, 20 * rt::kNsPerMs);
   }
+  alarm(0);
   EXPECT_EQ(camera->counters().delivered, 1u);
 }
 

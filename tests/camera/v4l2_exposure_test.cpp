@@ -3,6 +3,7 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/camera/v4l2_fixture.h"
+#include "tests/support/abandoned.h"
 
 namespace godwit::hal::v4l2_exposure_test {
 namespace {
@@ -178,6 +179,16 @@ TEST_F(AutomaticExposureTest, ADriverThatIsSlowToSetHoldsUpNoPicture) {
   }
   EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
   device_.holds_settings = false;
+}
+
+TEST_F(AutomaticExposureTest, ADriverThatHangsIsNamedAndKeepsNoEndAway) {
+  open_automatic();
+  picture(2.5, 0);
+  device_.holds_settings = true;
+  ASSERT_EQ(shoot(20), CameraStatus::kFrame);
+  for (int i = 0; i < 60'000 && device_.held == 0; ++i) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  ASSERT_GE(device_.held, 1);
+  EXPECT_EQ(test::abandoned_by([&] { camera_.reset(); }, [&] { device_.holds_settings = false; }), "gw-v4l2");
 }
 
 TEST_F(AutomaticExposureTest, ADeviceThatComesBackGoesOnWithTheExposureItHad) {

@@ -4,6 +4,7 @@
 #include "hal/camera/device/fed_camera.h"
 #include "tests/camera/no_cost.h"
 #include "tests/camera/v4l2_fixture.h"
+#include "tests/support/abandoned.h"
 
 namespace godwit::hal::v4l2_mjpeg_test {
 namespace {
@@ -72,6 +73,13 @@ TEST_F(V4l2CameraTest, FedByAThreadOfItsOwnMjpegCostsTheReaderNoHeapAndNoLock) {
   }
   EXPECT_GT(camera.passed_over(), 0u);
   EXPECT_GE(inner->counters().damaged, 1u);
+}
+
+TEST_F(V4l2CameraTest, AFeederThatHangsIsNamedAndKeepsNoEndAway) {
+  open();
+  auto fed = FedCamera::start(std::move(camera_), {});
+  ASSERT_TRUE(fed.ok());
+  EXPECT_EQ(test::abandoned_while_stands("gw-feeder", [&] { fed.value().reset(); }), "gw-feeder");
 }
 
 }  // namespace

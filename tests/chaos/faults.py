@@ -13,9 +13,9 @@ MAPPER_LIE_S = 3.0  # one message may take the mapper two seconds
 # By name, and what may be said while they stand. The others are no failure of the flight, or are watched at other ends.
 THREADS = {'gw-camera': LIE_S, 'gw-tracker': LIE_S, 'gw-link': LIE_S, 'gw-mapper': MAPPER_LIE_S, 'gw-detector': None,
            'gw-link-keep': None, 'gw-log': None, 'gw-flightlog': None, 'gw-events': None, 'gw-eventwrite': None,
-           'gw-live': None, 'gw-watchdog': None, 'godwitd': None}
+           'gw-live': None, 'gw-watchdog': None, 'gw-end': None, 'godwitd': None}
 # These concern nobody in flight.
-BESIDE = ('gw-detector', 'gw-log', 'gw-flightlog', 'gw-events', 'gw-eventwrite', 'gw-live')
+BESIDE = ('gw-detector', 'gw-log', 'gw-flightlog', 'gw-events', 'gw-eventwrite', 'gw-live', 'gw-end')
 
 
 class Fault:
@@ -173,7 +173,7 @@ class ToldToEnd(Fault):
 
     def __init__(self, run, random):
         super().__init__(run, random)
-        hanging = random.choice([None, *sorted(set(THREADS) - {'godwitd', 'gw-log', 'gw-watchdog'})])
+        hanging = random.choice([None, *sorted(THREADS)])
         self.stands = ThreadStands(run, random, hanging) if hanging else None
         self.name = 'told to end' + (f' while {hanging} stands' if hanging else '')
 

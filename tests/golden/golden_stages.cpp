@@ -7,9 +7,9 @@
 
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "hal/camera/replay/replay_camera.h"
-#include "vo_core/mapper.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/tracker.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit {
 namespace {

@@ -7,6 +7,7 @@
 
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
+#include "tests/support/abandoned.h"
 
 namespace godwit::hal::iio_imu_test {
 namespace {
@@ -257,6 +258,12 @@ TEST_F(IioImuTest, AccelerationOfASecondDeviceIsInterpolatedToTheRates) {
   now_ += 20 * rt::kNsPerMs;
   ASSERT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.t_ns, t0 + 95 * rt::kNsPerMs);
+}
+
+// A device that takes its time to be opened, or to say that it is none.
+TEST(LibiioPort, AThreadThatHangsIsNamedAndKeepsNoEndAway) {
+  auto port = libiio_port("no such device", 0, nullptr);
+  EXPECT_EQ(test::abandoned_while_stands("gw-iio", [&] { port.reset(); }), "gw-iio");
 }
 
 }  // namespace

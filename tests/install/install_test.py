@@ -16,7 +16,8 @@ bin/godwit bin/godwit-latency bin/godwitd etc/godwit/godwit.toml share/bash-comp
 share/bash-completion/completions/godwitd share/bash-completion/completions/godwit-latency share/godwit/godwit.dbc share/godwit/models/cbam_yolov5n_320.onnx
 share/godwit/models/cbam_yolov5n_416.onnx share/godwit/models/cbam_yolov5n_416.toml share/godwit/scenarios/street.toml
 share/man/man1/godwit.1 share/man/man1/godwit-latency.1 share/man/man8/godwitd.8 lib/systemd/system/godwitd.service lib/udev/rules.d/80-godwit.rules
-lib/systemd/network/80-godwit-can0.network lib/sysusers.d/godwit.conf
+lib/systemd/network/80-godwit-can0.network lib/sysusers.d/godwit.conf bin/godwit-report bin/godwit-evaluate bin/godwit-from-kitti
+bin/godwit-from-video
 '''.split()
 # Two frames of a simulated street, with the network: models and scenarios must both be found.
 FLY = 'fly street --frames 2 --detector on --out out'.split()
@@ -75,6 +76,13 @@ def main():
         run([*command, 'sh', '-c', script, 'sh', SOURCE / 'CMakeLists.txt', work, prefix / 'bin/godwit', *FLY], cwd='/')
         if not (work / 'out/summary.json').is_file():
             fail('no summary.json')
+        run([*command, 'sh', '-c', script, 'sh', SOURCE / 'CMakeLists.txt', work, prefix / 'bin/godwit-report', 'out'], cwd='/')
+        if not (work / 'out/report/report.html').is_file():
+            fail('no report.html')
+        for tool in ('evaluate', 'from-kitti', 'from-video'):
+            said = run([*command, 'sh', '-c', script, 'sh', SOURCE / 'CMakeLists.txt', work, prefix / f'bin/godwit-{tool}', '--help'], cwd='/')
+            if 'usage:' not in said:
+                fail(f'godwit-{tool} --help says: {said}')
         print(f'{len(EXPECTED)} files looked for; flown from {prefix} with {hidden} hidden by {way}')
 
 

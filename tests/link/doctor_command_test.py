@@ -94,7 +94,7 @@ def words(program, scenario):
                      "note   autopilot: RC7_OPTION is 90", "nodes: 10 (speaks through a tunnel)",
                      "the camera looks "):
             check(said in text, "tells of: " + said)
-        check(ap.intervals.keys() == {31}, "asks for the attitude, and for nothing that it does not read: %s" % sorted(ap.intervals))
+        check(ap.intervals.keys() == {24, 29, 31, 132}, "asks for attitude and aids, and for nothing that it does not read: %s" % sorted(ap.intervals))
         ap.node.close()
 
         ap = autopilot(VISO_TYPE=0, CAN_D1_UC_S1_NOD=43, VISO_DELAY_MS=90, EK3_SRC2_POSXY=3)

@@ -46,8 +46,9 @@ class Sniffer(threading.Thread):
             if magic == 0x2934 and crc == binascii.crc_hqx(data[4:], 0xFFFF):
                 self.frames.append((t, can_id & 0x1FFFFFFF, bool(can_id >> 31), bool(flags & 1), data[10:]))
 
-    def transfers(self, source=OUR_NODE):
-        """(t of the last frame, transfer) of every transfer of a node so far."""
+    def transfers(self, source=OUR_NODE, cut=False):
+        """(t of the last frame, transfer) of every transfer of a node so far; where the bus is `cut` on purpose, without
+        those that lack frames, which their checksum tells. Elsewhere such a transfer raises."""
         manager, out = transport.TransferManager(), []
         for t, can_id, extended, fd, data in list(self.frames):
             if not extended or can_id & 0x7F != source:
@@ -55,13 +56,18 @@ class Sniffer(threading.Thread):
             frames = manager.receive_frame(transport.Frame(can_id, data, t, t, fd))
             if frames:
                 transfer = transport.Transfer()
-                transfer.from_frames(frames)
+                try:
+                    transfer.from_frames(frames)
+                except transport.TransferError:
+                    if not cut:
+                        raise
+                    continue
                 out.append((t, transfer))
         return out
 
-    def broadcasts(self, type_id, source=OUR_NODE):
+    def broadcasts(self, type_id, source=OUR_NODE, cut=False):
         """(t, payload) of every DroneCAN message of a type."""
-        return [(t, x.payload) for t, x in self.transfers(source) if x.data_type_id == type_id and not x.service_not_message]
+        return [(t, x.payload) for t, x in self.transfers(source, cut) if x.data_type_id == type_id and not x.service_not_message]
 
     def statuses(self, source=OUR_NODE):
         return self.broadcasts(341, source)
@@ -69,11 +75,14 @@ class Sniffer(threading.Thread):
     def odometry(self, source=OUR_NODE):
         return [(t, m) for t, m in self.messages(source) if m.get_type() == "ODOMETRY"]
 
-    def messages(self, source=OUR_NODE):
-        """(t, message) of every MAVLink message that came through the tunnel, parsed by pymavlink."""
+    def messages(self, source=OUR_NODE, cut=False):
+        """(t, message) of every MAVLink message that came through the tunnel, parsed by pymavlink. A message takes two or
+        three transfers; where the bus is `cut` on purpose, one may lack its end: it then is a BAD_DATA, as an autopilot's
+        parser passes over it. Elsewhere it raises."""
         parser = mavlink.MAVLink(None)
+        parser.robust_parsing = cut
         out = []
-        for t, tunnel in self.broadcasts(3001, source):
+        for t, tunnel in self.broadcasts(3001, source, cut):
             for message in parser.parse_buffer(bytes(tunnel.buffer.to_bytes())) or []:
                 out.append((t, message))
         return out

@@ -239,10 +239,79 @@ TEST(Inputs, AreScaledAndNonsenseIsRefused) {
   EXPECT_FALSE(give_can(pressure));
   pressure.variance_pa2 = 4;
   EXPECT_TRUE(give_can(pressure));
+  can_range.orientation_defined = true;
+  can_range.roll_pitch_yaw = {0, -6, 0};
+  ASSERT_TRUE(give_can(can_range));
+  EXPECT_EQ(input.value[1], kLooksDown);
+  can_range.roll_pitch_yaw = {0, 0, 6};
+  ASSERT_TRUE(give_can(can_range));
+  EXPECT_EQ(input.value[1], kLooksElsewhere);
   dronecan::GlobalTimeSync time;
   time.previous_transmission_us = 55;
   ASSERT_TRUE(give_can(time));
   EXPECT_EQ(input.t_source_us, 55U);
+}
+
+TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
+  mavlink::Sender sender{1, 1, 0};
+  mavlink::MessageBytes bytes;
+  AutopilotInput input;
+  bool taken = false;
+  const auto give = [&](const auto& message) {
+    mavlink::Parser parser;
+    const std::size_t size = mavlink::encode(message, &sender, &bytes);
+    parser.feed({bytes.data(), size}, [&](const mavlink::RawMessage& raw) { taken = input_from_mavlink(raw, &input); });
+    return taken;
+  };
+  mavlink::ScaledPressure pressure;
+  EXPECT_FALSE(give(pressure));
+  pressure.time_boot_ms = 7;
+  pressure.press_abs = 950.5F;
+  ASSERT_TRUE(give(pressure));
+  EXPECT_EQ(input.kind, InputKind::kPressure);
+  EXPECT_TRUE(input.from_autopilot);
+  EXPECT_EQ(input.value[0], 95050);
+  EXPECT_EQ(input.t_source_us, 7000U);
+  mavlink::GpsRawInt fix;
+  fix.lat = 473977000;
+  fix.lon = -85456000;
+  fix.alt = 488123;
+  fix.fix_type = 3;
+  fix.h_acc = 800;
+  fix.v_acc = 1200;
+  fix.time_usec = 12345;
+  ASSERT_TRUE(give(fix));
+  EXPECT_EQ(input.kind, InputKind::kSatellites);
+  EXPECT_EQ(input.t_source_us, 12345U);
+  EXPECT_NEAR(input.value[0], 47.3977, 1e-9);
+  EXPECT_NEAR(input.value[2], 488.123, 1e-9);
+  EXPECT_EQ(input.value[3], kFix3d);
+  EXPECT_NEAR(input.value[4], 0.8, 1e-9);
+  EXPECT_NEAR(input.value[5], 1.2, 1e-9);
+  fix.time_usec = 1'700'000'000'000'000;
+  ASSERT_TRUE(give(fix));
+  EXPECT_EQ(input.t_source_us, 0U) << "a date is no time since boot";
+
+  // A Fix2 as pydronecan packs it, for classic CAN.
+  const std::vector<std::uint8_t> packed = from_hex(
+      "0706050403020100000000000000000000018def32035ecbe72fb1f3fffddb90380000c03f000020c00000803e47108600340038003c1f21"
+      "1f211f29003e");
+  const dronecan::Transfer transfer{.type_id = dronecan::GnssFix2::kType.id, .source = 9, .payload = packed};
+  ASSERT_TRUE(input_from_dronecan(transfer, &input));
+  EXPECT_EQ(input.kind, InputKind::kSatellites);
+  EXPECT_FALSE(input.from_autopilot);
+  EXPECT_NEAR(input.value[0], -47.39770005, 1e-9);
+  EXPECT_NEAR(input.value[1], 8.54560001, 1e-9);
+  EXPECT_NEAR(input.value[2], 488.123, 1e-9);
+  EXPECT_EQ(input.value[3], kFix3d);
+  EXPECT_NEAR(input.value[4], std::sqrt(0.5), 1e-6);
+  EXPECT_NEAR(input.value[5], 1, 1e-6);
+  // Cut anywhere: refused, or no place.
+  for (std::size_t size = 0; size < 50; ++size) {
+    const dronecan::Transfer cut{
+        .type_id = dronecan::GnssFix2::kType.id, .source = 9, .payload = std::span(packed).first(size)};
+    EXPECT_FALSE(input_from_dronecan(cut, &input)) << size;
+  }
 }
 
 }  // namespace parts_test

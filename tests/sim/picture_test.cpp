@@ -9,7 +9,7 @@
 #include <opencv2/video/tracking.hpp>
 #include <vector>
 
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 #include "tests/sim/test_scenario.h"
 
 namespace godwit::sim {

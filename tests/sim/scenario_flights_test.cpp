@@ -2,7 +2,7 @@
 #include <gtest/gtest.h>
 #include <string>
 
-#include "hal/sim/flight.h"
+#include "hal/sim/flight/flight.h"
 #include "tests/sim/test_scenario.h"
 
 namespace godwit::sim {

@@ -1,4 +1,4 @@
-#include "hal/sim/scenario.h"
+#include "hal/sim/flight/scenario.h"
 
 #include <Eigen/LU>
 #include <algorithm>

@@ -5,8 +5,8 @@
 #include <numbers>
 #include <vector>
 
-#include "hal/sim/sim_baro.h"
-#include "hal/sim/sim_imu.h"
+#include "hal/sim/flight/sim_baro.h"
+#include "hal/sim/sensors/sim_imu.h"
 #include "tests/sim/test_scenario.h"
 
 namespace godwit::sim {

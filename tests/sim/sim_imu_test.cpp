@@ -1,4 +1,4 @@
-#include "hal/sim/sim_imu.h"
+#include "hal/sim/sensors/sim_imu.h"
 
 #include <Eigen/Geometry>
 #include <cmath>

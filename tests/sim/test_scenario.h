@@ -5,7 +5,7 @@
 #include <string>
 #include <utility>
 
-#include "hal/sim/scenario.h"
+#include "hal/sim/flight/scenario.h"
 
 namespace godwit::sim::test {
 

@@ -1,4 +1,4 @@
-#include "hal/sim/trajectory.h"
+#include "hal/sim/world/trajectory.h"
 
 #include <Eigen/Geometry>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "vo_core/bundle_adjuster.h"
+#include "vo_core/map/bundle_adjuster.h"
 
 #include <Eigen/Eigenvalues>
 #include <cmath>
@@ -9,7 +9,7 @@
 
 #include "tests/vo_core/bundle_world.h"
 #include "tests/vo_core/relative_nees.h"
-#include "vo_core/structure_optimizer.h"
+#include "vo_core/map/structure_optimizer.h"
 
 namespace godwit::vo {
 namespace bundle_adjuster_test {

@@ -1,12 +1,12 @@
 // Residuals of map points and the normal equations made of them, against differences.
-#include "vo_core/bundle_problem.h"
+#include "vo_core/map/bundle_problem.h"
 
 #include <gtest/gtest.h>
 #include <memory>
 
 #include "tests/vo_core/bundle_world.h"
 #include "tests/vo_core/numeric_jacobian.h"
-#include "vo_core/structure_optimizer.h"
+#include "vo_core/map/structure_optimizer.h"
 
 namespace godwit::vo {
 namespace bundle_problem_test {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "tests/vo_core/test_cameras.h"
-#include "vo_core/map.h"
+#include "vo_core/map/map.h"
 
 namespace godwit::vo::test {
 

@@ -1,4 +1,4 @@
-#include "vo_core/camera_model.h"
+#include "vo_core/geometry/camera_model.h"
 
 #include <Eigen/SVD>
 #include <cmath>

@@ -1,5 +1,5 @@
 // The mask in small.
-#include "vo_core/coarse_mask.h"
+#include "vo_core/image/coarse_mask.h"
 
 #include <algorithm>
 #include <gtest/gtest.h>

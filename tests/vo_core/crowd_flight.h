@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/mapper.h"
-#include "vo_core/tracker.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo::crowd_test {
 

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "tests/vo_core/crowd_flight.h"
-#include "vo_core/mapper.h"
-#include "vo_core/tracker.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo {
 namespace crowd_test {

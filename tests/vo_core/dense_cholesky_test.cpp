@@ -1,4 +1,4 @@
-#include "vo_core/dense_cholesky.h"
+#include "vo_core/geometry/dense_cholesky.h"
 
 #include <Eigen/Dense>
 #include <gtest/gtest.h>

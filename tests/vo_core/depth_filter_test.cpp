@@ -1,4 +1,4 @@
-#include "vo_core/depth_filter.h"
+#include "vo_core/map/depth_filter.h"
 
 #include <Eigen/QR>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "vo_core/edgelet.h"
+#include "vo_core/features/edgelet.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/fast_corner.h"
+#include "vo_core/features/fast_corner.h"
 
 namespace godwit::vo {
 namespace fast_corner_opencv_test {

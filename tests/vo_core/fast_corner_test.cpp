@@ -1,4 +1,4 @@
-#include "vo_core/fast_corner.h"
+#include "vo_core/features/fast_corner.h"
 
 #include <algorithm>
 #include <gtest/gtest.h>

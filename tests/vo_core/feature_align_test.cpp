@@ -1,4 +1,4 @@
-#include "vo_core/feature_align.h"
+#include "vo_core/features/feature_align.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

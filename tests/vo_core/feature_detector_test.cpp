@@ -1,4 +1,4 @@
-#include "vo_core/feature_detector.h"
+#include "vo_core/features/feature_detector.h"
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@
 #include "hal/rt/rt_scope.h"
 #include "tests/vo_core/plain_fast.h"
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/fast_corner.h"
+#include "vo_core/features/fast_corner.h"
 
 namespace godwit::vo {
 namespace feature_detector_test {

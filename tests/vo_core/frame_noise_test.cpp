@@ -1,4 +1,4 @@
-#include "vo_core/frame_noise.h"
+#include "vo_core/tracking/frame_noise.h"
 
 #include <Eigen/Cholesky>
 #include <array>

@@ -1,4 +1,4 @@
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "vo_core/grey_noise.h"
+#include "vo_core/image/grey_noise.h"
 
 #include <algorithm>
 #include <cmath>
@@ -6,7 +6,7 @@
 #include <random>
 
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/feature_detector.h"
+#include "vo_core/features/feature_detector.h"
 
 namespace godwit::vo {
 namespace grey_noise_test {

@@ -1,5 +1,5 @@
 // The states of the odometry, driven by made-up evidence.
-#include "vo_core/health.h"
+#include "vo_core/tracking/health.h"
 
 #include <gtest/gtest.h>
 #include <string>

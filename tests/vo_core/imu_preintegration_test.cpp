@@ -1,6 +1,6 @@
 // Preintegration against motions known exactly, its Jacobians against differences, its covariance against many noisy
 // runs.
-#include "vo_core/imu_preintegration.h"
+#include "vo_core/inertial/imu_preintegration.h"
 
 #include <Eigen/Cholesky>
 #include <cmath>

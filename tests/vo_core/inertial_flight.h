@@ -6,7 +6,7 @@
 #include <cmath>
 #include <random>
 
-#include "vo_core/inertial_smoother.h"
+#include "vo_core/inertial/inertial_smoother.h"
 
 namespace godwit::vo::test {
 

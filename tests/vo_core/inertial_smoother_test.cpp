@@ -1,5 +1,5 @@
 // Factors against differences; alignment and smoother on a motion known exactly, with noise, at rest, and over long.
-#include "vo_core/inertial_smoother.h"
+#include "vo_core/inertial/inertial_smoother.h"
 
 #include <cmath>
 #include <gtest/gtest.h>
@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "tests/vo_core/inertial_flight.h"
-#include "vo_core/inertial_alignment.h"
+#include "vo_core/inertial/inertial_alignment.h"
 
 namespace godwit::vo {
 namespace inertial_smoother_test {

@@ -1,4 +1,4 @@
-#include "vo_core/initializer.h"
+#include "vo_core/tracking/initializer.h"
 
 #include <gtest/gtest.h>
 #include <memory>

@@ -1,5 +1,5 @@
 // When a frame becomes a keyframe.
-#include "vo_core/keyframe_selector.h"
+#include "vo_core/map/keyframe_selector.h"
 
 #include <gtest/gtest.h>
 

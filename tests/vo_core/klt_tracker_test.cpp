@@ -1,4 +1,4 @@
-#include "vo_core/klt_tracker.h"
+#include "vo_core/features/klt_tracker.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // Finding the pose of a frame by what map points look like.
-#include "vo_core/landmark_finder.h"
+#include "vo_core/tracking/landmark_finder.h"
 
 #include <gtest/gtest.h>
 #include <vector>

@@ -8,9 +8,9 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/mapper.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/tracker.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo {
 namespace late_mask_test {
@@ -186,6 +186,7 @@ TEST(LateMask, WithoutRoomForTheMessageItIsToBeTriedAgain) {
   EXPECT_FALSE(sent);
   while (flight.mapper().step()) {
   }
+  flight.settle();  // room is looked at once a frame
   EXPECT_TRUE(flight.tracker().late_mask(flight.newest_keyframe(), mask.view));
 }
 

@@ -1,9 +1,9 @@
-#include "vo_core/map.h"
+#include "vo_core/map/map.h"
 
 #include <gtest/gtest.h>
 
-#include "vo_core/keyframe_selector.h"
-#include "vo_core/map_channel.h"
+#include "vo_core/map/keyframe_selector.h"
+#include "vo_core/map/map_channel.h"
 
 namespace godwit::vo {
 namespace map_test {

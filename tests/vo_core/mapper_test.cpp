@@ -1,5 +1,5 @@
 // The mapper by itself, told the truth about the camera, or not quite.
-#include "vo_core/mapper.h"
+#include "vo_core/map/mapper.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,11 +1,11 @@
-#include "vo_core/matcher.h"
+#include "vo_core/map/matcher.h"
 
 #include <cmath>
 #include <gtest/gtest.h>
 #include <vector>
 
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
 
 namespace godwit::vo {
 namespace matcher_test {

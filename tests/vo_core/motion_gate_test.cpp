@@ -1,5 +1,5 @@
 // Movers found by geometry alone.
-#include "vo_core/motion_gate.h"
+#include "vo_core/tracking/motion_gate.h"
 
 #include <gtest/gtest.h>
 #include <vector>

@@ -1,11 +1,11 @@
-#include "vo_core/multi_view_refine.h"
+#include "vo_core/map/multi_view_refine.h"
 
 #include <algorithm>
 #include <gtest/gtest.h>
 
 #include "tests/vo_core/numeric_jacobian.h"
 #include "tests/vo_core/scene_points.h"
-#include "vo_core/rotation_fit.h"
+#include "vo_core/geometry/rotation_fit.h"
 
 namespace godwit::vo {
 namespace multi_view_refine_test {

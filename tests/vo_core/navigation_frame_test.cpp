@@ -1,6 +1,6 @@
 // One frame through losses and new maps: place, heading and speed go on, what is told of them holds, and what cannot be
 // tied together is told as a new frame.
-#include "vo_core/navigation_frame.h"
+#include "vo_core/inertial/navigation_frame.h"
 
 #include <Eigen/Cholesky>
 #include <cmath>

@@ -11,9 +11,9 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/mapper.h"
-#include "vo_core/pyramid.h"
-#include "vo_core/tracker.h"
+#include "vo_core/image/pyramid.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo::test {
 
@@ -91,11 +91,23 @@ struct Flown {
 /// Where the camera should be at a picture, by what was tracked until then.
 using Expectation = std::function<PosePrior(std::size_t, const Flown&)>;
 
+constexpr int kMany = 1'000'000;
+
+/// How the mapper keeps up.
+struct Pace {
+  int delay_frames = 2;
+  /// Messages it works on at most after each frame; empty: all that there are.
+  std::vector<int> steps;
+  /// What each frame is to find of it; empty: what there is.
+  std::vector<FrameOrder> orders;
+  rt::MaskPyramidView late;  ///< for each keyframe, three frames after it; no levels: none comes late
+};
+
 inline Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidView& mask = {},
-                          std::size_t masked_from = 0, const Expectation& expected = nullptr) {
+                          std::size_t masked_from = 0, const Expectation& expected = nullptr, const Pace& pace = {}) {
   const CameraModel camera = small_camera();
   TrackerOptions options;
-  options.delta_delay_frames = 2;
+  options.delta_delay_frames = pace.delay_frames;
   auto channel = std::make_unique<MapChannel>();
   Tracker tracker(camera, options, channel.get());
   Mapper mapper(camera, MapperOptions{}, channel.get());
@@ -142,9 +154,11 @@ inline Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidVi
     {
       const rt::RtScope scope;
       const std::uint64_t before = rt::rt_heap_counts().allocations;
+      if (!pace.orders.empty()) tracker.expect(pace.orders[i]);
+      if (pace.late.levels > 0 && i >= 3 && run.frames[i - 3].is_keyframe)
+        tracker.late_mask(static_cast<rt::TimeNs>(i - 3) * 33'333'333, pace.late);
       r = tracker.track(in);
-      while (mapper.step()) {
-      }
+      for (int n = pace.steps.empty() ? kMany : pace.steps[i]; n > 0 && mapper.step();) --n;
       if (have_pose) run.allocations += rt::rt_heap_counts().allocations - before;
     }
     have_pose |= r.tracked;

@@ -12,6 +12,7 @@ namespace odometry_test {
 using test::Flown;
 using test::forward;
 using test::kLamps;
+using test::Pace;
 using test::pictures;
 using test::run_odometry;
 using test::small_camera;
@@ -58,6 +59,69 @@ TEST(Odometry, TwoRunsAreEqualToTheBitAndAPrefixIsAPrefix) {
       EXPECT_EQ(a.frames[i].T_world_cam.t, c.frames[i].T_world_cam.t) << i;
     }
   }
+}
+
+rt::MaskPyramidView mask_of_a_corner() {
+  static const std::vector<std::uint8_t> cells = [] {
+    std::vector<std::uint8_t> out(320 * 240, 0);
+    for (int y = 0; y < 100; ++y) std::memset(out.data() + y * 320, 255, 10);
+    return out;
+  }();
+  rt::MaskPyramidView mask;
+  mask.levels = rt::kPyramidLevels;
+  for (int l = 0; l < mask.levels; ++l)
+    mask.level[static_cast<std::size_t>(l)] = {cells.data(), 320 >> l, 240 >> l, 320};
+  return mask;
+}
+
+/// Frames of which something is not equal to the bit.
+int unequal(const Flown& a, const Flown& b) {
+  int out = 0;
+  for (std::size_t i = 0; i < a.frames.size(); ++i) {
+    const FrameResult &p = a.frames[i], &q = b.frames[i];
+    const bool equal = p.state == q.state && p.tracked == q.tracked && p.is_keyframe == q.is_keyframe &&
+                       p.map_id == q.map_id && p.measurements == q.measurements && p.T_world_cam.R == q.T_world_cam.R &&
+                       p.T_world_cam.t == q.T_world_cam.t && p.covariance == q.covariance && a.points[i] == b.points[i];
+    out += equal ? 0 : 1;
+  }
+  return out;
+}
+
+// A mapper beside the flight is now quick, now slow, and once away for a while; what each frame found of it is all that
+// must be known.
+TEST(Odometry, AFlightBesideASlowMapperIsFlownAgainToTheBit) {
+  std::vector<int> order = forward(50);
+  for (int i = 0; i < 5; ++i) order.push_back(-1);
+  for (int i = 49; i > 5; --i) order.push_back(i);
+  for (int i = 0; i < 160; ++i) order.push_back(test::kElsewhere);  // until the map is given up
+  for (int i = 0; i < 60; ++i) order.push_back(i);
+  Pace beside;
+  beside.delay_frames = 0;
+  beside.late = mask_of_a_corner();
+  std::uint32_t random = 1;
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    random = random * 1664525 + 1013904223;
+    const bool away = (i >= 20 && i < 45) || i % 90 > 80;
+    beside.steps.push_back(away ? 0 : static_cast<int>((random >> 16) % 3));
+  }
+  const Flown flown = run_odometry(order, {}, 0, nullptr, beside);
+  int full = 0, none = 0, tracked = 0;
+  Pace again = beside;
+  again.steps.clear();
+  for (const FrameResult& r : flown.frames) {
+    again.orders.push_back(r.order);
+    full += r.order.room < 4 ? 1 : 0;
+    none += r.order.deltas == 0 ? 1 : 0;
+    tracked += r.tracked ? 1 : 0;
+  }
+  EXPECT_GT(full, 5) << "the mapper was never slow";
+  EXPECT_GT(none, 20);
+  EXPECT_GT(tracked, 100);
+  EXPECT_GT(flown.frames.back().map_id, 1u) << "a second map is flown again, too";
+  EXPECT_EQ(unequal(flown, run_odometry(order, {}, 0, nullptr, again)), 0);
+  again.orders.clear();
+  EXPECT_GT(unequal(flown, run_odometry(order, {}, 0, nullptr, again)), 50)
+      << "without them it would be another flight";
 }
 
 TEST(Odometry, NothingIsAllocatedAfterTheFirstPose) {

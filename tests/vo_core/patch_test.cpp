@@ -1,4 +1,4 @@
-#include "vo_core/patch.h"
+#include "vo_core/image/patch.h"
 
 #include <array>
 #include <cmath>

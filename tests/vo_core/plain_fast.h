@@ -7,8 +7,8 @@
 
 #include "hal/rt/image.h"
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/fast_corner.h"
-#include "vo_core/geometry.h"
+#include "vo_core/features/fast_corner.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::vo::test {
 

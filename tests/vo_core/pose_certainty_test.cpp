@@ -1,4 +1,4 @@
-#include "vo_core/pose_certainty.h"
+#include "vo_core/map/pose_certainty.h"
 
 #include <Eigen/Cholesky>
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "vo_core/pose_optimizer.h"
+#include "vo_core/tracking/pose_optimizer.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
 
 #include <gtest/gtest.h>
 #include <random>

@@ -1,4 +1,4 @@
-#include "vo_core/quadtree.h"
+#include "vo_core/features/quadtree.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 
 #include <Eigen/Cholesky>
 
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::vo::test {
 

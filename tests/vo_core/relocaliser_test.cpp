@@ -1,5 +1,5 @@
 // Tiny pictures and the guesses made of them.
-#include "vo_core/relocaliser.h"
+#include "vo_core/tracking/relocaliser.h"
 
 #include <gtest/gtest.h>
 #include <memory>
@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
 
 namespace godwit::vo {
 namespace relocaliser_test {

@@ -7,8 +7,8 @@
 
 #include "tests/vo_core/relative_nees.h"
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/mapper.h"
-#include "vo_core/tracker.h"
+#include "vo_core/map/mapper.h"
+#include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo {
 namespace rolling_flight_test {

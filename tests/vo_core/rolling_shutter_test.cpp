@@ -1,4 +1,4 @@
-#include "vo_core/rolling_shutter.h"
+#include "vo_core/geometry/rolling_shutter.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Metres for a map from lengths that others know: what it learns, what it refuses, and what it says when one lies.
-#include "vo_core/scale_state.h"
+#include "vo_core/inertial/scale_state.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

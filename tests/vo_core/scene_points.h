@@ -4,7 +4,7 @@
 #include <random>
 #include <vector>
 
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::vo::scenes {
 

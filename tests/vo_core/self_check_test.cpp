@@ -1,6 +1,6 @@
 // Innovations over time: all well where they are as large as they should be, less trust where not, and an end with a
 // reason where that lasts.
-#include "vo_core/self_check.h"
+#include "vo_core/inertial/self_check.h"
 
 #include <cmath>
 #include <gtest/gtest.h>

@@ -1,10 +1,10 @@
-#include "vo_core/shi_tomasi.h"
+#include "vo_core/features/shi_tomasi.h"
 
 #include <Eigen/Eigenvalues>
 #include <gtest/gtest.h>
 
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::vo {
 namespace shi_tomasi_test {

@@ -1,5 +1,5 @@
 // References on their way back: none is lost, however late they are taken.
-#include "vo_core/slot_releases.h"
+#include "vo_core/map/slot_releases.h"
 
 #include <array>
 #include <gtest/gtest.h>

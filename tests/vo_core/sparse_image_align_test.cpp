@@ -1,12 +1,12 @@
-#include "vo_core/sparse_image_align.h"
+#include "vo_core/tracking/sparse_image_align.h"
 
 #include <gtest/gtest.h>
 #include <vector>
 
 #include "tests/vo_core/numeric_jacobian.h"
 #include "tests/vo_core/synthetic_scene.h"
-#include "vo_core/align_warp.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/features/align_warp.h"
+#include "vo_core/image/pyramid.h"
 
 namespace godwit::vo {
 namespace sparse_image_align_test {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "hal/rt/image.h"
-#include "vo_core/pyramid.h"
+#include "vo_core/image/pyramid.h"
 
 namespace godwit::vo::test {
 

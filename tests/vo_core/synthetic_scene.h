@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "tests/vo_core/synthetic_picture.h"
-#include "vo_core/camera_model.h"
-#include "vo_core/geometry.h"
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/geometry/geometry.h"
 
 namespace godwit::vo::test {
 

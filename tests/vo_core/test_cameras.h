@@ -1,7 +1,7 @@
 // Calibrations that the tests share: published ones, and a made-up fisheye.
 #pragma once
 
-#include "vo_core/camera_model.h"
+#include "vo_core/geometry/camera_model.h"
 
 namespace godwit::vo::test {
 

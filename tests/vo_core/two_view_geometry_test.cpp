@@ -1,11 +1,11 @@
-#include "vo_core/two_view_geometry.h"
+#include "vo_core/geometry/two_view_geometry.h"
 
 #include <gtest/gtest.h>
 #include <numeric>
 
 #include "tests/vo_core/scene_points.h"
-#include "vo_core/fundamental.h"
-#include "vo_core/homography.h"
+#include "vo_core/geometry/fundamental.h"
+#include "vo_core/geometry/homography.h"
 
 namespace godwit::vo {
 namespace two_view_geometry_test {

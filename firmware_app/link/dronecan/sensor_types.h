@@ -107,6 +107,39 @@ struct StaticPressure {
   }
 };
 
+/// The first part of uavcan.equipment.gnss.Fix2: what is behind it (an optional place in earth-centred axes) is let be,
+/// so it can be read and not sent.
+struct GnssFix2 {
+  static constexpr TypeInfo kType{"uavcan.equipment.gnss.Fix2", TransferKind::kMessage, 1063, 0xCA41E7000F37435F, 222};
+  static constexpr std::uint8_t k3dFix = 3;
+  std::uint64_t timestamp_us = 0, gnss_timestamp_us = 0;
+  std::uint8_t gnss_time_standard = 0, num_leap_seconds = 0;
+  std::int64_t longitude_deg_1e8 = 0, latitude_deg_1e8 = 0;
+  std::int32_t height_ellipsoid_mm = 0, height_msl_mm = 0;
+  std::array<float, 3> ned_velocity{};  ///< [m/s]
+  std::uint8_t sats_used = 0, status = 0, mode = 0, sub_mode = 0;
+  List<float, 36> covariance;  ///< of (position [m^2], velocity), NED: diagonal, upper triangle or all of it
+  float pdop = 0;
+  static void visit(auto& v, auto& s) {
+    v.number("timestamp", s.timestamp_us, 56, Cast::kTruncated);
+    v.number("gnss_timestamp", s.gnss_timestamp_us, 56, Cast::kTruncated);
+    v.number("gnss_time_standard", s.gnss_time_standard, 3);
+    v.padding(13);
+    v.number("num_leap_seconds", s.num_leap_seconds, 8);
+    v.number("longitude_deg_1e8", s.longitude_deg_1e8, 37);
+    v.number("latitude_deg_1e8", s.latitude_deg_1e8, 37);
+    v.number("height_ellipsoid_mm", s.height_ellipsoid_mm, 27);
+    v.number("height_msl_mm", s.height_msl_mm, 27);
+    for (auto& x : s.ned_velocity) v.single("ned_velocity", x);
+    v.number("sats_used", s.sats_used, 6);
+    v.number("status", s.status, 2);
+    v.number("mode", s.mode, 4);
+    v.number("sub_mode", s.sub_mode, 6);
+    v.list("covariance", s.covariance, Tail::kNo, 16, [](auto& w, auto& x) { w.half("covariance", x); });
+    v.half("pdop", s.pdop);
+  }
+};
+
 struct GlobalTimeSync {
   static constexpr TypeInfo kType{"uavcan.protocol.GlobalTimeSync", TransferKind::kMessage, 4, 0x20271116A793C2DB, 7};
   std::uint64_t previous_transmission_us = 0;

@@ -32,7 +32,9 @@ Endpoint::Endpoint(const EndpointConfig& config, Carrier* carrier, InputRing* in
              Wanted{DistanceSensor::kId, config.range_hz},
              Wanted{LocalPositionNed::kId, config.local_position_hz},
              Wanted{GlobalPositionInt::kId, config.global_position_hz},
-             Wanted{HighresImu::kId, config.imu_hz}};
+             Wanted{HighresImu::kId, config.imu_hz},
+             Wanted{ScaledPressure::kId, config.pressure_hz},
+             Wanted{GpsRawInt::kId, config.satellites_hz}};
 }
 
 template <typename Message>

@@ -38,6 +38,8 @@ struct EndpointConfig {
   double range_hz = 5;
   double local_position_hz = 5;
   double global_position_hz = 2;
+  double pressure_hz = 0;
+  double satellites_hz = 0;  ///< what the receiver has (GPS_RAW_INT), not the autopilot's estimate
 };
 
 struct EndpointCounters {
@@ -115,7 +117,7 @@ class Endpoint {
   rt::TimeNs t_next_heartbeat_ns_ = 0;
   rt::TimeNs t_next_timesync_ns_ = 0;
   rt::TimeNs t_next_request_ns_ = 0;
-  std::array<Wanted, 6> wanted_{};
+  std::array<Wanted, 8> wanted_{};
   std::size_t next_wanted_ = 0;
   AttitudeQuaternion attitude_;
   rt::TimeNs t_attitude_ns_ = 0;

@@ -33,6 +33,54 @@ struct RawImu : MessageInfo<27, 144, 29> {
   }
 };
 
+/// What the receiver itself has, not the autopilot's estimate.
+struct GpsRawInt : MessageInfo<24, 24, 52> {
+  static constexpr const char* kName = "GPS_RAW_INT";
+  std::uint64_t time_usec = 0;     ///< since boot, or a date
+  std::int32_t lat = 0, lon = 0;   ///< [1e-7 degree]
+  std::int32_t alt = 0;            ///< above the sea [mm]
+  std::uint16_t eph = 0, epv = 0;  ///< dilutions times 100
+  std::uint16_t vel = 0, cog = 0;  ///< [cm/s], [0.01 degree]
+  std::uint8_t fix_type = 0, satellites_visible = 0;
+  std::int32_t alt_ellipsoid = 0;      ///< [mm]
+  std::uint32_t h_acc = 0, v_acc = 0;  ///< one sigma, 0: not told [mm]
+  std::uint32_t vel_acc = 0;           ///< [mm/s]
+  std::uint32_t hdg_acc = 0;           ///< [1e-5 degree]
+  std::uint16_t yaw = 0;               ///< [0.01 degree]
+  static void visit(auto& v, auto& s) {
+    v.field("time_usec", s.time_usec);
+    v.field("lat", s.lat);
+    v.field("lon", s.lon);
+    v.field("alt", s.alt);
+    v.field("eph", s.eph);
+    v.field("epv", s.epv);
+    v.field("vel", s.vel);
+    v.field("cog", s.cog);
+    v.field("fix_type", s.fix_type);
+    v.field("satellites_visible", s.satellites_visible);
+    v.field("alt_ellipsoid", s.alt_ellipsoid);
+    v.field("h_acc", s.h_acc);
+    v.field("v_acc", s.v_acc);
+    v.field("vel_acc", s.vel_acc);
+    v.field("hdg_acc", s.hdg_acc);
+    v.field("yaw", s.yaw);
+  }
+};
+
+struct ScaledPressure : MessageInfo<29, 115, 16> {
+  static constexpr const char* kName = "SCALED_PRESSURE";
+  std::uint32_t time_boot_ms = 0;
+  float press_abs = 0, press_diff = 0;                       ///< [hPa]
+  std::int16_t temperature = 0, temperature_press_diff = 0;  ///< [0.01 degrees C]
+  static void visit(auto& v, auto& s) {
+    v.field("time_boot_ms", s.time_boot_ms);
+    v.field("press_abs", s.press_abs);
+    v.field("press_diff", s.press_diff);
+    v.field("temperature", s.temperature);
+    v.field("temperature_press_diff", s.temperature_press_diff);
+  }
+};
+
 struct AttitudeQuaternion : MessageInfo<31, 246, 48> {
   static constexpr const char* kName = "ATTITUDE_QUATERNION";
   std::uint32_t time_boot_ms = 0;

@@ -230,7 +230,9 @@ void for_each_message(F&& f) {
   f.template operator()<Heartbeat>();
   f.template operator()<ParamRequestRead>();
   f.template operator()<ParamValue>();
+  f.template operator()<GpsRawInt>();
   f.template operator()<RawImu>();
+  f.template operator()<ScaledPressure>();
   f.template operator()<AttitudeQuaternion>();
   f.template operator()<LocalPositionNed>();
   f.template operator()<GlobalPositionInt>();

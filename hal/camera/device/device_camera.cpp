@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "hal/rt/process_end.h"
+
 namespace godwit::hal {
 namespace {
 /// A driver's sequence number that leaps further was counted anew.
@@ -24,7 +26,8 @@ DeviceCamera::~DeviceCamera() {
   // Relaxed: it only ends the loop; join() orders the rest.
   stop_.store(true, std::memory_order_relaxed);
   keeper_wake_.post();
-  if (keeper_.running()) keeper_.join();
+  // A driver that hangs hangs it.
+  rt::join_in_time(&keeper_);
 }
 
 int DeviceCamera::channels() const {

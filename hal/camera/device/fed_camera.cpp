@@ -2,6 +2,8 @@
 
 #include <cstring>
 
+#include "hal/rt/process_end.h"
+
 namespace godwit::hal {
 
 FedCamera::FedCamera(std::unique_ptr<Camera> inner) : inner_(std::move(inner)), channels_(inner_->channels()) {
@@ -24,7 +26,7 @@ rt::Result<std::unique_ptr<FedCamera>> FedCamera::start(std::unique_ptr<Camera> 
 FedCamera::~FedCamera() {
   // Relaxed: it only ends the loop; join() orders the rest.
   stop_.store(true, std::memory_order_relaxed);
-  if (feeder_.running()) feeder_.join();
+  rt::join_in_time(&feeder_);
 }
 
 void FedCamera::feed() {

@@ -29,7 +29,8 @@ rt::Result<SequenceLayout> find_sequence(const std::string& folder) {
   const fs::path root(folder);
   std::error_code error;
   if (!fs::is_directory(root, error)) {
-    return rt::Error{folder + ": " + (error ? error.message() : "not a folder")};
+    return rt::Error{folder + ": " +
+                     (error ? error.message() : "not a folder; scripts/from_video makes one of a video")};
   }
   if (is_file(root / "rgb.txt")) {
     return SequenceLayout{SequenceLayout::Kind::kTum, root / "rgb.txt", root / "camera.yaml", root};

@@ -9,6 +9,7 @@
 #include <poll.h>
 
 #include "hal/imu/iio/iio_port.h"
+#include "hal/rt/process_end.h"
 #include "hal/rt/thread.h"
 #include "hal/rt/wake_up.h"
 
@@ -28,7 +29,7 @@ class LibiioPort final : public IioPort {
   ~LibiioPort() override {
     if (opener_.running()) {
       order(Order::kEnd);
-      opener_.join();
+      rt::join_in_time(&opener_);
     }
     close();
   }

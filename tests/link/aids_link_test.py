@@ -1,0 +1,171 @@
+#!/usr/bin/env python3
+"""godwitd over a simulated flight whose scale its inertial sensor alone does not show, and an emulated autopilot that tells
+what its rangefinder, barometer and receiver measure there: with them poses are metric. Run it inside a network namespace:
+
+    with_peers.sh --bus dronecan,pymavlink,numpy aids_link_test.py build/release/firmware_app/godwit SCENARIO.toml
+"""
+import argparse
+import csv
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+import numpy as np  # noqa: E402
+from checks import check, run_cases  # noqa: E402
+from emulated_autopilot import EmulatedAutopilot, Sniffer, mavlink  # noqa: E402
+from inertial_link_test import QUALITY_MIN, Truth, by_speed, scale_and_ate  # noqa: E402
+
+PICTURES, FPS = 450, 30
+START_S = 1000.0  # a simulated flight's first picture
+
+
+def rows(folder, name):
+    return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(open(os.path.join(folder, name)))]
+
+
+class Aiding(EmulatedAutopilot):
+    """Tells what was measured in the flight that is being flown, when it was; what may be wrong with it is up to `lie`, which
+    takes time since the start, name and value, and gives (value or None, by how much the stamp is wrong [s])."""
+
+    def __init__(self, folder, lie=lambda t, name, value: (value, 0.0)):
+        super().__init__()
+        self.lie = lie
+        self.begun = None
+        self.waiting = {name: rows(folder, name + ".csv") for name in ("range", "baro", "gnss")}
+        self.sent = {name: 0 for name in self.waiting}
+
+    def on_message(self, m):
+        super().on_message(m)
+        if m.get_type() == "ODOMETRY" and self.begun is None:
+            self.begun = m.time_usec * 1e-6  # the first picture, on the clock that both share
+
+    def inputs(self):
+        if self.begun is None:
+            return
+        for name, waiting in self.waiting.items():
+            while waiting and waiting[0]["t"] - START_S + self.begun <= time.monotonic():
+                row = waiting.pop(0)
+                if time.monotonic() - (row["t"] - START_S + self.begun) < 0.3:
+                    self.tell(name, row)
+
+    def tell(self, name, row):
+        t = row["t"] - START_S
+        value, off = self.lie(t, name, row["range_m" if name == "range" else "pressure_pa" if name == "baro" else "fix"])
+        if value is None:
+            return
+        us = int((self.begun + t + off - self.boot) * 1e6)
+        self.sent[name] += 1
+        if name == "range":
+            self.send(mavlink.MAVLink_distance_sensor_message(us // 1000, 20, 60000, min(65535, int(value * 100)), 0, 0, 25, 0))
+        elif name == "baro":
+            self.send(mavlink.MAVLink_scaled_pressure_message(us // 1000, value / 100, 0, 2000))
+        else:
+            metre = 1 / 111194.9
+            sigma = int(row["sigma_m"] * 1000)
+            self.send(mavlink.MAVLink_gps_raw_int_message(
+                us, round(value * 3), int(row["y"] * metre * 1e7), int(row["x"] * metre * 1e7), int(row["z"] * 1000), 100, 100,
+                0, 0, 12, h_acc=sigma, v_acc=sigma))
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.every("heartbeat", 1.0, self.heartbeat)
+            self.every("timesync", 0.5, self.ask_time)
+            self.inputs()
+            self.node.spin(0.002)
+
+
+def fly(program, scenario, seed, folder, lie=None):
+    """What godwitd said, its exit code, the fused samples, the autopilot."""
+    config, said = os.path.join(folder, "c.toml"), os.path.join(folder, "said")
+    open(config, "w").write('[camera]\nsource = "sim"\nscenario = "%s"\nseed = %d\npictures = %d\n[imu]\nsource = "sim"\n'
+                            '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n' %
+                            (os.path.abspath(scenario), seed, PICTURES, folder))
+    sniffer, ap = Sniffer(0), Aiding(folder, lie) if lie else Aiding(folder)
+    with open(said, "w") as log:
+        process = subprocess.Popen([os.path.join(os.path.dirname(program), "godwitd"), "--config", config], stderr=log)
+        end = time.monotonic() + 240
+        while process.poll() is None and time.monotonic() < end:
+            ap.spin(0.02)
+        process.terminate()
+        code = process.wait(timeout=20)
+    ap.node.close()
+    return open(said).read(), code, sniffer.odometry(), ap
+
+
+def examine(truth, samples, ap, text):
+    fused = [m for _, m in samples if m.quality >= QUALITY_MIN]
+    check(len(fused) > 60, "%d of %d samples have a quality" % (len(fused), len(samples)))
+    if len(fused) <= 60:
+        print(text)
+        return
+    flight = by_speed(fused, int((ap.begun - START_S) * 1e6), 1000000 // FPS, truth)
+    error = np.linalg.norm(flight.error, axis=1)
+    scale, ate = scale_and_ate(flight.place, flight.true_place)
+    print("      metric after %.2f s; scale %+.2f %%, ATE %.3f m, %.3f m at most" %
+          (flight.t[0] - START_S, 100 * (scale - 1), ate, error.max()))
+    check(abs(scale - 1) <= 0.08, "the scale is off by %+.2f %% (8 allowed)" % (100 * (scale - 1)))
+    beyond = (error > 3 * flight.sigma).mean()
+    check(beyond <= 0.01, "off by more than three of the sigmas told in %.1f %% of the samples" % (100 * beyond))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program")
+    parser.add_argument("scenario")
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--only", default="")
+    a = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([a.program, "sim", a.scenario, "--seed", str(a.seed), "--frames", "2", "--out", folder], check=True,
+                       stdout=subprocess.DEVNULL)
+        truth = Truth(os.path.join(folder, "groundtruth_body.txt"))
+
+        def heard():
+            print("rangefinder, barometer and satellites of the autopilot")
+            text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder)
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            check({24, 29, 132} <= ap.intervals.keys() and not {32, 33} & ap.intervals.keys(),
+                  "asks for what the sensors say, not for the autopilot's own place: %s" % sorted(ap.intervals))
+            for kind in ("rangefinder", "barometer", "satellites"):
+                check("aids: %s of the autopilot is heard and used" % kind in text, "says that the %s is heard" % kind)
+            examine(truth, samples, ap, text)
+
+        def faults():
+            print("a rangefinder that is 4 m short for 1.5 s and then tells what is 2 s old, satellites that fall silent")
+
+            def lie(t, name, value):
+                if name == "range":
+                    return (value - 4 if 6 <= t < 7.5 else value), (-2.0 if t >= 9 else 0.0)
+                if name == "gnss" and t >= 8:
+                    return None, 0.0
+                return value, 0.0
+            text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder, lie)
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            check("rangefinder is heard and not used: old on arrival" in text, "says that the rangefinder's stamps are old")
+            check("satellites of the autopilot fell silent" in text, "and that the satellites fell silent")
+            good = [m for _, m in samples if m.quality >= QUALITY_MIN]
+            resets = [b.reset_counter - x.reset_counter for x, b in zip(good, good[1:])]
+            check(not any(resets), "nothing of it is a reset: %s" % [r for r in resets if r])
+            examine(truth, samples, ap, text)
+
+        def nonsense():
+            print("a rangefinder whose stamps are 2 s old, a pressure in hPa, fixes of two dimensions, from the start")
+
+            def lie(t, name, value):
+                return {"range": value, "baro": value / 100, "gnss": 2 / 3}[name], (-2.0 if name == "range" else 0.0)
+            text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder, lie)
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            check("rangefinder is heard and not used: old on arrival" in text, "says that the rangefinder's stamps are old")
+            check("barometer is heard and not used: no air that flies has that pressure" in text, "that the pressure is none")
+            check("satellites is heard and not used: no fix in three dimensions" in text, "and that there is no fix")
+            check(len(samples) > 400 and all(m.quality == -1 for _, m in samples),
+                  "and nothing becomes metres that the inertial sensor alone does not show: quality -1")
+        run_cases({"heard": heard, "faults": faults, "nonsense": nonsense}, a.only)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

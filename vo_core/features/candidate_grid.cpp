@@ -1,0 +1,122 @@
+#include "vo_core/features/candidate_grid.h"
+
+#include <algorithm>
+#include <cassert>
+
+#include "vo_core/features/shi_tomasi.h"
+
+namespace godwit::vo {
+
+CandidateGrid::CandidateGrid(int width, int height, int levels)
+    : columns_((width + kCellPx - 1) / kCellPx), rows_((height + kCellPx - 1) / kCellPx), levels_(levels) {
+  const std::size_t cells = static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_);
+  slots_.resize(cells * static_cast<std::size_t>(levels));
+  candidates_.reserve(static_cast<std::size_t>(capacity()));
+  cell_begin_.resize(cells + 1);
+  clear();
+}
+
+void CandidateGrid::clear() {
+  for (Slot& slot : slots_) slot.count = 0;
+  candidates_.clear();
+  std::fill(cell_begin_.begin(), cell_begin_.end(), 0);
+}
+
+void CandidateGrid::add_corner(int x, int y, int level, int fast_score) {
+  // The cell of the level-0 pixel (x + 0.5) * 2^level - 0.5, in integers.
+  const int half = (1 << level) >> 1;
+  const int column = ((x << level) + half) / kCellPx, row = ((y << level) + half) / kCellPx;
+  assert(column < columns_ && row < rows_ && level < levels_);
+  Slot& slot = slots_[cell_index(column, row) * static_cast<std::size_t>(levels_) + static_cast<std::size_t>(level)];
+  const Corner corner{static_cast<std::int16_t>(x), static_cast<std::int16_t>(y),
+                      static_cast<std::uint8_t>(fast_score)};
+  // Strongest first; of equal ones the earlier stays.
+  int position = slot.count;
+  while (position > 0 && slot.corner[static_cast<std::size_t>(position - 1)].fast < corner.fast) --position;
+  if (position == kPerCell) return;
+  if (slot.count < kPerCell) ++slot.count;
+  for (int i = slot.count - 1; i > position; --i) {
+    slot.corner[static_cast<std::size_t>(i)] = slot.corner[static_cast<std::size_t>(i - 1)];
+  }
+  slot.corner[static_cast<std::size_t>(position)] = corner;
+}
+
+void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, std::span<const float> min_score,
+                                  float level_weight) {
+  candidates_.clear();
+  const std::size_t levels = static_cast<std::size_t>(levels_);
+  const std::size_t cells = cell_begin_.size() - 1;
+  for (std::size_t cell = 0; cell < cells; ++cell) {
+    cell_begin_[cell] = static_cast<std::int32_t>(candidates_.size());
+    const std::span<const Slot> slots(&slots_[cell * levels], levels);
+    int strongest = 0;
+    for (const Slot& slot : slots) {
+      if (slot.count > 0) strongest = std::max<int>(strongest, slot.corner[0].fast);
+    }
+    float weight = 1.0f;
+    for (std::size_t level = 0; level < levels; ++level, weight *= level_weight) {
+      for (int i = 0; i < slots[level].count; ++i) {
+        const Corner& corner = slots[level].corner[static_cast<std::size_t>(i)];
+        const bool weak = strongest > fast_threshold && corner.fast <= fast_threshold;
+        const float score = shi_tomasi(pyramid.level[level], corner.x, corner.y);
+        if (score < min_score[level]) continue;
+        candidates_.push_back({to_level0(corner.x, corner.y, static_cast<int>(level)), score, weight * score, corner.x,
+                               corner.y, static_cast<std::int8_t>(level), weak, true});
+      }
+    }
+  }
+  cell_begin_[cells] = static_cast<std::int32_t>(candidates_.size());
+}
+
+template <typename F>
+void CandidateGrid::while_near(const Vec2f& px, float radius, F&& f) {
+  const auto cell = [](float v, int count) {
+    return std::clamp(static_cast<int>(v / static_cast<float>(kCellPx)), 0, count - 1);
+  };
+  const int c0 = cell(px.x() - radius, columns_), c1 = cell(px.x() + radius, columns_);
+  const int r0 = cell(px.y() - radius, rows_), r1 = cell(px.y() + radius, rows_);
+  for (int row = r0; row <= r1; ++row) {
+    // The cells of a row lie one behind the other.
+    const auto begin = static_cast<std::size_t>(cell_begin_[cell_index(c0, row)]);
+    const auto end = static_cast<std::size_t>(cell_begin_[cell_index(c1, row) + 1]);
+    for (std::size_t i = begin; i < end; ++i) {
+      if (!f(candidates_[i])) return;
+    }
+  }
+}
+
+void CandidateGrid::keep_local_best() {
+  const float reach = min_spacing_px(levels_ - 1, levels_ - 1);
+  // Of equal ranks the one that comes first stays. A candidate does not beat itself.
+  const auto beats = [](const Candidate& a, const Candidate& b) {
+    if (a.weak != b.weak) return b.weak;
+    return a.rank > b.rank || (a.rank == b.rank && &a < &b);
+  };
+  for (Candidate& mine : candidates_) {
+    while_near(mine.px, reach, [&](const Candidate& other) {
+      if (!beats(other, mine)) return true;
+      const float spacing = min_spacing_px(mine.level, other.level);
+      mine.alive = (mine.px - other.px).squaredNorm() > spacing * spacing;
+      return mine.alive;
+    });
+  }
+}
+
+void CandidateGrid::remove_near(const Vec2f& px, int level) {
+  const float reach = min_spacing_px(std::max(level, levels_ - 1), levels_ - 1);
+  while_near(px, reach, [&](Candidate& other) {
+    const float spacing = min_spacing_px(level, other.level);
+    if ((px - other.px).squaredNorm() <= spacing * spacing) other.alive = false;
+    return true;
+  });
+}
+
+bool CandidateGrid::cell_has_candidate(int column, int row) const {
+  const std::size_t cell = cell_index(column, row);
+  for (auto i = static_cast<std::size_t>(cell_begin_[cell]); i < static_cast<std::size_t>(cell_begin_[cell + 1]); ++i) {
+    if (candidates_[i].alive) return true;
+  }
+  return false;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,78 @@
+// Square picture patches: bilinear sampling with SIMD. Header-only, inlined into the stages that need it.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <hwy/highway.h>
+
+#include "hal/rt/image.h"
+#include "vo_core/geometry/geometry.h"
+
+namespace godwit::vo {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+/// How much brighter a patch may be than where it was first seen, and its inverse: more is another patch.
+inline constexpr float kMaxGain = 5.0f;
+
+/// Four neighbouring pixels as floats.
+inline hn::Vec<hn::FixedTag<float, 4>> load4(const std::uint8_t* p) {
+  const hn::FixedTag<std::uint8_t, 4> du8;
+  const hn::FixedTag<std::int32_t, 4> di32;
+  const hn::FixedTag<float, 4> df;
+  return hn::ConvertTo(df, hn::PromoteTo(di32, hn::LoadU(du8, p)));
+}
+
+/// Tag of the widest vector, up to 8 floats, used for 8-pixel rows (8 lanes on AVX2, 4 on NEON).
+using RowTag = hn::CappedTag<float, 8>;
+
+inline hn::Vec<RowTag> load_row(const std::uint8_t* p) {
+  const RowTag df;
+  const hn::Rebind<std::uint8_t, RowTag> du8;
+  const hn::Rebind<std::int32_t, RowTag> di32;
+  return hn::ConvertTo(df, hn::PromoteTo(di32, hn::LoadU(du8, p)));
+}
+
+/// Bilinear value at (x, y). Precondition: 0 <= x < width - 1, 0 <= y < height - 1.
+inline float interpolate(const rt::ImageView& im, float x, float y) {
+  const int xi = static_cast<int>(x), yi = static_cast<int>(y);
+  const float fx = x - static_cast<float>(xi), fy = y - static_cast<float>(yi);
+  const std::uint8_t* p = im.row(yi) + xi;
+  const std::uint8_t* q = p + im.stride;
+  const float top = static_cast<float>(p[0]) + fx * static_cast<float>(p[1] - p[0]);
+  const float bottom = static_cast<float>(q[0]) + fx * static_cast<float>(q[1] - q[0]);
+  return top + fy * (bottom - top);
+}
+
+/// Samples `rows` rows of 4 * quads pixels spaced by 1, top-left sample at (x, y), into out (row length 4 * quads).
+/// Precondition: the samples and their right and lower neighbours lie in the picture.
+inline void sample_grid(const rt::ImageView& im, float x, float y, int quads, int rows, float* out) {
+  const hn::FixedTag<float, 4> df;
+  const int xi = static_cast<int>(std::floor(x)), yi = static_cast<int>(std::floor(y));
+  const auto fx = hn::Set(df, x - static_cast<float>(xi));
+  const auto fy = hn::Set(df, y - static_cast<float>(yi));
+  for (int q = 0; q < quads; ++q) {
+    const std::uint8_t* p = im.row(yi) + xi + 4 * q;
+    auto a = load4(p);
+    auto above = hn::MulAdd(fx, hn::Sub(load4(p + 1), a), a);
+    for (int r = 0; r < rows; ++r) {
+      p += im.stride;
+      a = load4(p);
+      const auto below = hn::MulAdd(fx, hn::Sub(load4(p + 1), a), a);
+      hn::StoreU(hn::MulAdd(fy, hn::Sub(below, above), above), df, out + (r * quads + q) * 4);
+      above = below;
+    }
+  }
+}
+
+/// Level-0 pixel -> pixel of pyramid level l, and back (centre convention of rt::PyramidView).
+inline Vec2f to_level(const Vec2f& px, int level) {
+  const float s = 1.0f / static_cast<float>(1 << level);
+  return (px.array() + 0.5f) * s - 0.5f;
+}
+inline Vec2f from_level(const Vec2f& px, int level) {
+  const float s = static_cast<float>(1 << level);
+  return (px.array() + 0.5f) * s - 0.5f;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,136 @@
+#include "vo_core/inertial/imu_preintegration.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace godwit::vo {
+
+Mat3 so3_right_jacobian(const Vec3& w) {
+  const double theta2 = w.squaredNorm();
+  const Mat3 W = skew(w);
+  if (theta2 < 1e-10) return Mat3::Identity() - 0.5 * W + W * W / 6.0;
+  const double theta = std::sqrt(theta2);
+  return Mat3::Identity() - (1.0 - std::cos(theta)) / theta2 * W + (theta - std::sin(theta)) / (theta2 * theta) * W * W;
+}
+
+Mat3 so3_right_jacobian_inverse(const Vec3& w) {
+  const double theta2 = w.squaredNorm();
+  const Mat3 W = skew(w);
+  if (theta2 < 1e-10) return Mat3::Identity() + 0.5 * W + W * W / 12.0;
+  const double theta = std::sqrt(theta2);
+  return Mat3::Identity() + 0.5 * W +
+         (1.0 / theta2 - (1.0 + std::cos(theta)) / (2.0 * theta * std::sin(theta))) * W * W;
+}
+
+void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const ImuNoise& noise) {
+  const Vec3 turn = (gyro - bias_.gyro) * dt_s, force = accel - bias_.accel;
+  const Mat3 half = so3_exp(0.5 * turn), whole = so3_exp(turn);
+  const Mat3 R_mid = dR_ * half;
+  const Mat3 R_force = R_mid * skew(force);
+  const double dt = dt_s, dt2 = 0.5 * dt * dt;
+  // The middle attitude's own derivative by the gyroscope's bias, as a vector right of R_mid.
+  const Mat3 mid_dbg = half.transpose() * dR_dbg_ - so3_right_jacobian(0.5 * turn) * (0.5 * dt);
+
+  // Covariance (Forster, 63), with the step's white noise of density n as n / sqrt(dt).
+  const Mat3 to_mid = half.transpose();
+  Mat9 A = Mat9::Identity();
+  A.block<3, 3>(0, 0) = whole.transpose();
+  A.block<3, 3>(3, 0) = -R_force * to_mid * dt;
+  A.block<3, 3>(6, 0) = -R_force * to_mid * dt2;
+  A.block<3, 3>(6, 3) = Mat3::Identity() * dt;
+  Eigen::Matrix<double, 9, 6> B = Eigen::Matrix<double, 9, 6>::Zero();
+  B.block<3, 3>(0, 0) = so3_right_jacobian(turn) * dt;
+  B.block<3, 3>(3, 0) = -R_force * (0.5 * dt) * dt;
+  B.block<3, 3>(3, 3) = R_mid * dt;
+  B.block<3, 3>(6, 3) = R_mid * dt2;
+  Vec6 variance;
+  variance << Vec3::Constant(noise.gyro * noise.gyro / dt), Vec3::Constant(noise.accel * noise.accel / dt);
+  // lazyProduct: from nine rows on Eigen's operator* calls its blocked product, which allocates.
+  const Mat9 carried = A.lazyProduct(covariance_);
+  covariance_ = carried.lazyProduct(A.transpose());
+  const Eigen::Matrix<double, 9, 6> weighted = B * variance.asDiagonal();
+  covariance_ += weighted.lazyProduct(B.transpose());
+
+  dp_dba_ += dv_dba_ * dt - R_mid * dt2;
+  dp_dbg_ += dv_dbg_ * dt - R_force * mid_dbg * dt2;
+  dv_dba_ -= R_mid * dt;
+  dv_dbg_ -= R_force * mid_dbg * dt;
+  dR_dbg_ = whole.transpose() * dR_dbg_ - so3_right_jacobian(turn) * dt;
+
+  dp_ += dv_ * dt + R_mid * force * dt2;
+  dv_ += R_mid * force * dt;
+  dR_ = dR_ * whole;
+  dt_s_ += dt;
+}
+
+bool ImuBuffer::add(const ImuReading& r) {
+  if (!r.gyro_rad_s.allFinite() || !r.accel_m_s2.allFinite()) {
+    ++refused_;
+    return false;
+  }
+  if (count_ > 0 && r.t_ns <= newest_ns()) {
+    if (newest_ns() - r.t_ns <= kSpanNs) {
+      ++refused_;
+      return false;
+    }
+    clear();
+  }
+  if (count_ == kReadings) {
+    first_ = (first_ + 1) % kReadings;
+    --count_;
+  }
+  readings_[(first_ + count_) % kReadings] = r;
+  ++count_;
+  while (count_ > 2 && r.t_ns - at(1).t_ns > kSpanNs) {
+    first_ = (first_ + 1) % kReadings;
+    --count_;
+  }
+  return true;
+}
+
+ImuBuffer::Coverage ImuBuffer::integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, const ImuNoise& noise,
+                                         Preintegration* out) const {
+  Coverage coverage;
+  if (t1_ns <= t0_ns) return coverage;
+  if (count_ == 0) {
+    coverage.missing_ns = t1_ns - t0_ns;
+    return coverage;
+  }
+  const auto step = [&](const ImuReading& a, const ImuReading& b, rt::TimeNs from, rt::TimeNs to) {
+    // Of a straight line between two readings the mean is its middle.
+    const double span = rt::to_seconds(b.t_ns - a.t_ns);
+    const double x = span > 0 ? 0.5 * (rt::to_seconds(from - a.t_ns) + rt::to_seconds(to - a.t_ns)) / span : 0.0;
+    out->add((1 - x) * a.gyro_rad_s + x * b.gyro_rad_s, (1 - x) * a.accel_m_s2 + x * b.accel_m_s2,
+             rt::to_seconds(to - from), noise);
+  };
+  rt::TimeNs t = t0_ns;
+  const ImuReading& oldest = at(0);
+  if (t < oldest.t_ns) {
+    const rt::TimeNs to = std::min(oldest.t_ns, t1_ns);
+    step(oldest, oldest, t, to);
+    coverage.missing_ns += to - t;
+    t = to;
+  }
+  // The last reading at or before t.
+  std::size_t low = 0, high = count_;
+  while (high - low > 1) {
+    const std::size_t middle = (low + high) / 2;
+    (at(middle).t_ns <= t ? low : high) = middle;
+  }
+  for (std::size_t i = low; i + 1 < count_ && t < t1_ns; ++i) {
+    const ImuReading &a = at(i), &b = at(i + 1);
+    const rt::TimeNs to = std::min(b.t_ns, t1_ns);
+    if (to <= t) continue;
+    step(a, b, t, to);
+    if (b.t_ns - a.t_ns > kGapNs) coverage.missing_ns += to - t;
+    ++coverage.readings;
+    t = to;
+  }
+  if (t < t1_ns) {
+    step(at(count_ - 1), at(count_ - 1), t, t1_ns);
+    coverage.missing_ns += t1_ns - t;
+  }
+  return coverage;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,379 @@
+#include "vo_core/inertial/inertial_odometry.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "vo_core/map/pose_certainty.h"
+
+namespace godwit::vo {
+
+using S = InertialState;
+
+InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
+    : options_(options), prior_(options.prior), smoother_(mounting, options.model), aids_(options.aids) {}
+
+void InertialOdometry::add(const ImuReading& reading) {
+  buffer_.add(reading);
+  if (smoother_.size() == 0) return;
+  // Not up to the reading: a picture may be late.
+  const rt::TimeNs t_node_ns = smoother_.node(smoother_.size() - 1).t_ns;
+  const rt::TimeNs t_ns = reading.t_ns - ImuBuffer::kSpanNs / 4;
+  if (t_ns - std::max(t_bridge_ns_, t_node_ns) <= ImuBuffer::kSpanNs / 4) return;
+  bridge_missing_ns_ = measured_since(t_ns, &bridge_);
+  t_bridge_ns_ = t_ns;
+}
+
+rt::TimeNs InertialOdometry::measured_since(rt::TimeNs t_ns, Preintegration* since) const {
+  rt::TimeNs from_ns = smoother_.node(smoother_.size() - 1).t_ns;
+  rt::TimeNs missing_ns = 0;
+  if (t_bridge_ns_ > from_ns) {
+    *since = bridge_;
+    from_ns = t_bridge_ns_;
+    missing_ns = bridge_missing_ns_;
+  } else {
+    *since = Preintegration(smoother_.newest().bias);
+  }
+  return missing_ns + buffer_.integrate(from_ns, t_ns, options_.model.imu, since).missing_ns;
+}
+
+bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const {
+  if (buffer_.empty() || !metric_) return false;  // before, the gyroscope's bias is not known
+  const S& x = smoother_.newest();
+  const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
+  Preintegration d(x.bias);
+  const auto covered = buffer_.integrate(t_ref_ns + shift, t_cur_ns + shift, options_.model.imu, &d);
+  if (covered.missing_ns > 10 * rt::kNsPerMs) return false;
+  const Mat3 R_body_cam = smoother_.mounting().R_body_cam * so3_exp(x.mounting);
+  *R_cur_ref = R_body_cam.transpose() * d.dR(x.bias.gyro).transpose() * R_body_cam;
+  return true;
+}
+
+VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
+  VisionSight sight;
+  sight.R_map_cam = pose.T_map_cam.R;
+  sight.camera = pose.T_map_cam.t;
+  sight.depth = std::max(1e-6, pose.median_depth);
+  sight.own_position = std::sqrt(pose.own_covariance.diagonal().head<3>().mean());
+  sight.position_rate = position_rate_ * sight.depth * sight.depth;
+  sight.rotation_rate = rotation_rate_;
+  sight.position_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().head<3>().mean()));
+  sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
+  // The rate over 10 ms around the frame.
+  Preintegration around;
+  buffer_.integrate(pose.t_ns - 5 * rt::kNsPerMs, pose.t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
+  if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
+  return sight;
+}
+
+void InertialOdometry::judge_stray(const VisualPose& pose) {
+  if (pose.map_id != stray_map_id_) rotation_rate_ = position_rate_ = 0;
+  stray_map_id_ = pose.map_id;
+  const double kept = std::exp(-2 * rt::to_seconds(pose.t_ns - t_stray_ns_) / rt::to_seconds(options_.stray_memory_ns));
+  t_stray_ns_ = pose.t_ns;
+  rotation_rate_ *= kept;
+  position_rate_ *= kept;
+  if (pose.relative_age_ns <= 0) return;
+  const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.stray_age_ns));
+  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
+  const auto variances = pose.relative_covariance.diagonal();
+  position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
+  rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
+}
+
+void InertialOdometry::hear_aids(const VisualPose& pose) {
+  AidPose p;
+  p.t_ns = pose.t_ns;
+  p.map_id = pose.map_id;
+  p.camera = pose.T_map_cam.t;
+  p.depth = pose.median_depth;
+  p.points = pose.points;
+  const Mat3 R_body_cam = smoother_.mounting().R_body_cam;
+  p.beam = pose.T_map_cam.R * (R_body_cam.transpose() * options_.range_beam);
+  if (metric_ && pose.map_id == map_id_) {
+    p.up = smoother_.newest().up;
+    p.up_sigma = std::sqrt(smoother_.covariance().diagonal().segment<2>(S::kUp).maxCoeff());
+  } else if (pose.map_id == map_id_) {
+    p.up = attempt_up_;
+    p.up_sigma = attempt_up_sigma_;
+  }
+  aids_.pose(p);
+}
+
+ScaleHint InertialOdometry::hint() {
+  const ScaleState& told = aids_.state();
+  if (!told.known()) return {};
+  ScaleHint out{std::log(told.scale()), told.log_sigma()};
+  if (!metric_) return out;
+  const double off = out.log_scale - smoother_.newest().log_scale;
+  const double variance = out.sigma * out.sigma + smoother_.covariance()(S::kScale, S::kScale);
+  if (off * off <= options_.aid_gate * options_.aid_gate * variance) return out;
+  ++aids_contradicted_;
+  return {};
+}
+
+void InertialOdometry::begin_window(const VisualPose& pose) {
+  if (metric_ && prior_kept_) {
+    // What the sensor is like outlives the map.
+    const S& x = smoother_.newest();
+    prior_.bias = x.bias;
+    prior_.mounting = x.mounting;
+    prior_.time_offset_s = x.time_offset_s;
+    const auto sigma = [&](int i, int n, double floor) {
+      return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment(i, n).maxCoeff()));
+    };
+    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, 2e-3));
+    prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
+    // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
+    prior_.mounting_sigma = std::min(prior_.mounting_sigma, sigma(S::kMounting, 3, 3e-3));
+    prior_.time_sigma = std::min(prior_.time_sigma, sigma(S::kTime, 1, 5e-4));
+  } else if (!prior_kept_) {
+    prior_ = options_.prior;
+  }
+  metric_ = told_ = false;
+  prior_kept_ = true;
+  attempt_up_.setZero();
+  smoother_.clear();
+  map_id_ = pose.map_id;
+  InertialNode node;
+  node.t_ns = pose.t_ns;
+  node.sight = sight_of(pose);
+  smoother_.add(node);
+  smoother_.state(0).bias = prior_.bias;
+  smoother_.state(0).mounting = prior_.mounting;
+  smoother_.state(0).time_offset_s = prior_.time_offset_s;
+}
+
+bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
+  const rt::TimeNs last = smoother_.node(smoother_.size() - 1).t_ns;
+  if (pose.t_ns - last < after_ns) return false;
+  InertialNode node;
+  node.t_ns = pose.t_ns;
+  const rt::TimeNs missing_ns = measured_since(pose.t_ns, &node.since_last);
+  if (missing_ns > options_.max_missing_ns || node.since_last.dt_s() <= 0) {
+    refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
+    begin_window(pose);
+    return false;
+  }
+  node.sight = sight_of(pose);
+  while (metric_ && smoother_.size() >= options_.window) smoother_.drop_oldest();
+  smoother_.add(node);
+  return true;
+}
+
+bool InertialOdometry::refuse(const char* text, double value, double limit) {
+  refusal_ = {text, value, limit};
+  return false;
+}
+
+bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
+  if (!report.ok) return refuse("the window has no solution", 0, 0);
+  const auto& C = smoother_.covariance();
+  const double scale_sigma = std::sqrt(C(S::kScale, S::kScale));
+  const double up_sigma = std::sqrt(C.diagonal().segment<2>(S::kUp).maxCoeff());
+  attempt_up_ = up_sigma < options_.begin_up_sigma ? smoother_.newest().up : Vec3(Vec3::Zero());
+  attempt_up_sigma_ = up_sigma;
+  if (!(scale_sigma < options_.begin_scale_sigma))
+    return refuse("the scale is not seen: its sigma", scale_sigma, options_.begin_scale_sigma);
+  if (!(up_sigma < options_.begin_up_sigma))
+    return refuse("the vertical is not seen: its sigma [rad]", up_sigma, options_.begin_up_sigma);
+  const double chi2 = report.chi2 / std::max(1, report.rows);
+  if (!(chi2 < options_.begin_chi2))
+    return refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
+  return plausible(4);
+}
+
+bool InertialOdometry::plausible(double most_sigmas) {
+  const S& x = smoother_.newest();
+  const double off = std::max((x.bias.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
+                              (x.bias.accel - prior_.bias.accel).norm() / prior_.accel_bias_sigma);
+  if (!(off < most_sigmas)) return refuse("the biases would be absurd [sigmas]", off, most_sigmas);
+  const double turned = (x.mounting - prior_.mounting).norm() / prior_.mounting_sigma;
+  if (!(turned < most_sigmas))
+    return refuse("the sensor would sit far from how it is configured [sigmas]", turned, most_sigmas);
+  return true;
+}
+
+void InertialOdometry::try_to_begin(const VisualPose& pose) {
+  const int n = smoother_.size();
+  if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
+  std::array<InertialNode, InertialSmoother::kNodes> nodes;
+  for (int i = 0; i < n; ++i) nodes[static_cast<std::size_t>(i)] = smoother_.node(i);
+  const std::span<const InertialNode> window(nodes.data(), static_cast<std::size_t>(n));
+  ImuBias bias = prior_.bias;
+  bias.gyro = align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
+  const ScaleHint others = hint();
+  const Alignment found =
+      align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
+  if (!found.ok) {
+    refuse("no scale fits", 0, 0);
+    return;
+  }
+  // The moments anew, each from the one before by what the alignment found.
+  smoother_.clear();
+  smoother_.add(window[0]);
+  S& first = smoother_.state(0);
+  first.bias = found.bias;
+  first.log_scale = found.log_scale;
+  first.up = found.up;
+  first.velocity = found.velocity;
+  first.mounting = prior_.mounting;
+  first.time_offset_s = prior_.time_offset_s;
+  for (int i = 1; i < n; ++i) smoother_.add(window[static_cast<std::size_t>(i)]);
+  smoother_.set_prior(prior_);
+  smoother_.hint_scale(others.log_scale, others.sigma);
+  if (!convincing(smoother_.solve(6))) return;
+  metric_ = true;
+  ++begun_;
+  refusal_ = {};
+  anchor_pose_ = pose.T_map_cam;
+  anchor_covariance_ = pose.covariance;
+  anchor_map_ = last_camera_ = pose.T_map_cam.t;
+  way_ = 0;
+  // The heading: that of the last map, or the camera's first one along x.
+  R_nav_map_ = so3_exp(Vec3::Zero());
+  level();
+  const Vec3 ahead = R_nav_map_ * pose.T_map_cam.R.col(2);
+  const Vec3 wanted = have_nav_ ? Vec3(last_nav_.R.col(2)) : Vec3(Vec3::UnitX());
+  // A camera that looks straight down has no heading ahead; its picture's upper edge has.
+  const bool down = std::hypot(ahead.x(), ahead.y()) < 0.1;
+  const Vec3 from = down ? Vec3(-(R_nav_map_ * pose.T_map_cam.R.col(1))) : ahead;
+  const Vec3 to = have_nav_ && down ? Vec3(-last_nav_.R.col(1)) : wanted;
+  const double turn = std::atan2(to.y(), to.x()) - std::atan2(from.y(), from.x());
+  R_nav_map_ = so3_exp(Vec3(0, 0, turn)) * R_nav_map_;
+  anchor_nav_ = have_nav_ ? last_nav_.t : Vec3(Vec3::Zero());
+}
+
+void InertialOdometry::level() {
+  // The least turn that brings the map's vertical up; it leaves the heading alone.
+  const Vec3 up = R_nav_map_ * smoother_.newest().up;
+  const Vec3 axis = up.cross(Vec3::UnitZ());
+  const double sine = axis.norm();
+  if (sine < 1e-12) {
+    if (up.z() < 0) R_nav_map_ = so3_exp(Vec3(M_PI, 0, 0)) * R_nav_map_;
+  } else {
+    R_nav_map_ = so3_exp(axis / sine * std::atan2(sine, up.z())) * R_nav_map_;
+  }
+  R_nav_map_ = Eigen::Quaterniond(R_nav_map_).normalized().toRotationMatrix();
+}
+
+MetricPose InertialOdometry::frame(const VisualPose& pose) {
+  if (!pose.tracked || buffer_.empty()) return {};
+  judge_stray(pose);
+  if (pose.map_moved && pose.map_id == map_id_)
+    aids_.move_map(last_seen_camera_, so3_exp(pose.turned_by), pose.moved_by);
+  last_seen_camera_ = pose.T_map_cam.t;
+  hear_aids(pose);
+  if (smoother_.size() == 0 || pose.map_id != map_id_) {
+    begin_window(pose);
+    return {};
+  }
+  if (pose.map_moved) {
+    const Vec3 pivot = smoother_.newest().camera;
+    smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
+    if (metric_) {
+      // The navigation frame's own view of the map stays: what was corrected, jumps.
+      last_camera_ += pose.moved_by;
+      last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
+    }
+  }
+  const bool added = add_node(pose, metric_ ? options_.node_ns : options_.begin_node_ns);
+  if (added && !metric_) {
+    try_to_begin(pose);
+  } else if (added) {
+    const ScaleHint others = hint();
+    smoother_.hint_scale(others.log_scale, others.sigma);
+    const auto report = smoother_.solve(2);
+    const double sigma = std::sqrt(smoother_.covariance()(S::kScale, S::kScale));
+    if (!report.ok || !(sigma < options_.lost_scale_sigma)) {
+      refuse("the scale was lost: its sigma", sigma, options_.lost_scale_sigma);
+      begin_window(pose);
+    } else if (!plausible(options_.most_sigmas)) {
+      // What vision and sensor disagree about has gone where it could go: nothing of this window can be believed.
+      prior_kept_ = false;
+      begin_window(pose);
+    } else {
+      level();
+    }
+  }
+  return metric_ ? tell(pose) : MetricPose{};
+}
+
+bool InertialOdometry::in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const {
+  if (!told_) return false;
+  *map_id = map_id_;
+  *T_map_cam = {R_nav_map_.transpose() * T_nav_cam.R,
+                anchor_map_ + R_nav_map_.transpose() * (T_nav_cam.t - anchor_nav_) / smoother_.newest().scale()};
+  return true;
+}
+
+Mat6 InertialOdometry::grown_since_anchor(const VisualPose& pose) const {
+  const Mat6 to_here = adjoint(pose.T_map_cam.inverse() * anchor_pose_);
+  const Mat6 difference = pose.covariance - to_here * anchor_covariance_ * to_here.transpose();
+  // The map may know both better by now than it said of the anchor then: no less than nothing.
+  const Eigen::SelfAdjointEigenSolver<Mat6> eigen(0.5 * (difference + difference.transpose()));
+  const Mat6& axes = eigen.eigenvectors();
+  return axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose() + pose.own_covariance;
+}
+
+MetricPose InertialOdometry::tell(const VisualPose& pose) {
+  const S& x = smoother_.newest();
+  const InertialSmoother::Matrix& C = smoother_.covariance();
+  const double s = x.scale();
+  MetricPose out;
+  out.valid = true;
+  const Vec3 way = s * (R_nav_map_ * (pose.T_map_cam.t - anchor_map_));
+  out.T_nav_cam = {R_nav_map_ * pose.T_map_cam.R, anchor_nav_ + way};
+  if (told_) {
+    // The same frame as it would be told now.
+    const Vec3 again = anchor_nav_ + s * (R_nav_map_ * (last_map_.t - anchor_map_));
+    out.moved_by_m = again - last_nav_.t;
+    out.turned_by_rad = so3_log(R_nav_map_ * last_map_.R * last_nav_.R.transpose());
+  }
+  told_ = true;
+  last_map_ = pose.T_map_cam;
+  way_ += (pose.T_map_cam.t - last_camera_).norm();
+  last_camera_ = pose.T_map_cam.t;
+
+  // Velocity of the newest moment, carried on to this frame.
+  const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
+  Preintegration d(x.bias);
+  buffer_.integrate(t_node, pose.t_ns, options_.model.imu, &d);
+  const Vec3 omega = sight_of(pose).gyro_rad_s - x.bias.gyro;
+  const Vec3 body = x.velocity - options_.model.gravity_m_s2 * d.dt_s() * x.up + x.R_map_body * d.dv(x.bias);
+  const Mat3 R_map_body = x.R_map_body * d.dR(x.bias.gyro);
+  out.velocity_m_s = R_nav_map_ * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));
+
+  // Errors of (log scale, vertical) move and tilt everything about the anchor; vision's own come on top: those of its
+  // measurements, those that it shares with its neighbours, and what it has drifted since the anchor.
+  const Eigen::Matrix<double, 3, 2> tilt_axes =
+      R_nav_map_ * (skew(x.up) * x.up_basis());  // up x basis: the turn that moves up so; the map turns back
+  Eigen::Matrix<double, 6, 3> J;
+  J.setZero();
+  J.block<3, 1>(0, 0) = way;
+  J.block<3, 2>(0, 1) = skew(way) * tilt_axes;
+  J.block<3, 2>(3, 1) = -tilt_axes;
+  Mat3 shared = C.block<3, 3>(S::kScale, S::kScale);
+  const double scale_variance = options_.told_scale_sigma * options_.told_scale_sigma;
+  shared(0, 0) += scale_variance;
+  out.covariance = J * shared * J.transpose();
+  Mat6 to_nav = Mat6::Zero();
+  to_nav.topLeftCorner<3, 3>() = s * out.T_nav_cam.R;
+  to_nav.bottomRightCorner<3, 3>() = out.T_nav_cam.R;
+  const Mat6 grown = grown_since_anchor(pose);
+  out.covariance += to_nav * grown * to_nav.transpose();
+  const double place = std::hypot(options_.model.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
+  const double drift = options_.drift_share * s * way_;
+  out.covariance.diagonal().head<3>().array() += place * place + drift * drift;
+  out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
+  out.velocity_covariance = R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
+                            scale_variance * out.velocity_m_s * out.velocity_m_s.transpose();
+  out.velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;
+  out.log_scale_sigma = std::sqrt(shared(0, 0));
+  last_nav_ = out.T_nav_cam;
+  have_nav_ = true;
+  return out;
+}
+
+}  // namespace godwit::vo

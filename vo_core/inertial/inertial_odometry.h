@@ -1,0 +1,167 @@
+// Metres and the vertical for a visual map: beside the tracker, from its poses and an inertial sensor's readings.
+// Loosely coupled: vision's poses are taken as they are, the smoother finds what they are in metres and against
+// gravity.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include "vo_core/inertial/inertial_alignment.h"
+#include "vo_core/inertial/inertial_smoother.h"
+#include "vo_core/inertial/scale_aids.h"
+
+namespace godwit::vo {
+
+/// What the tracker said of one frame, as much of it as counts here.
+struct VisualPose {
+  rt::TimeNs t_ns = 0;
+  bool tracked = false;
+  std::uint32_t map_id = 0;
+  SE3 T_map_cam;
+  Mat6 covariance = Mat6::Zero();           ///< of the left twist (v, w) of T_cam_map, map units and rad
+  Mat6 own_covariance = Mat6::Zero();       ///< the same of this picture's own matches alone
+  Mat6 relative_covariance = Mat6::Zero();  ///< the same of the pose relative to a keyframe of the map
+  rt::TimeNs relative_age_ns = 0;           ///< that is so much older; 0: there is none
+  double median_depth = 1;                  ///< [map units]
+  std::span<const Eigen::Vector3f> points;  ///< of the map, some that the picture shows [map units]
+  bool map_moved = false;                   ///< the map was corrected before this frame; by it the last frame's camera
+  Vec3 moved_by = Vec3::Zero();             ///< moved [map units]
+  Vec3 turned_by = Vec3::Zero();            ///< and turned, rotation vector along the map's axes
+};
+
+struct InertialOdometryOptions {
+  InertialModel model;
+  ScaleAidsOptions aids;
+  Vec3 range_beam = Vec3::UnitZ();  ///< of the rangefinder, along the body's axes, unit length
+  double aid_gate = 4;              ///< what others say of the scale is left out where it is so many sigmas off
+  InertialPrior prior;
+  AlignmentMethod method = AlignmentMethod::kWhole;
+  rt::TimeNs begin_node_ns = 45 * rt::kNsPerMs;   ///< shortest time between two moments until it is metric
+  rt::TimeNs node_ns = 95 * rt::kNsPerMs;         ///< and from then on
+  rt::TimeNs begin_span_ns = 400 * rt::kNsPerMs;  ///< no attempt with less
+  int window = 12;                                ///< moments kept from then on
+  /// What refuses to guess: the scale's sigma, the vertical's, and how badly all fits. At rest the scale's comes out
+  /// above 0.1: places that only seem to move carry about one unit of information each.
+  double begin_scale_sigma = 0.08;
+  double begin_up_sigma = 0.03;  ///< [rad]
+  double begin_chi2 = 3;         ///< a degree of freedom
+  /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
+  double lost_scale_sigma = 0.15;
+  double most_sigmas = 6;  ///< the same for biases and mounting, in sigmas of what they were taken to be at first
+  rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
+  /// Vision's error relative to a keyframe is taken for a walk since then; one that is older counts as so old, since
+  /// the tracker's keyframes are about this far apart and it does not stray while it sees nothing new.
+  rt::TimeNs stray_age_ns = 500 * rt::kNsPerMs;
+  /// What is hung on a wrong part of a map inherits its error and does not know it. Measured on a take-off over flat
+  /// ground (scenario gnss-loss): 20 mrad in the half second in which the map began, 10 mrad 2 s later, 2 mrad 6 s
+  /// later, told from the second second on: 0.5 mrad.
+  rt::TimeNs stray_memory_ns = 5 * rt::kNsPerSecond;
+  double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
+  /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
+  /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
+  double told_place_sigma_m = 4e-3;    ///< an axis
+  double told_scale_sigma = 1e-2;      ///< of lengths: the accelerometer's scale, and what vision's drifts
+  double told_speed_sigma_m_s = 6e-3;  ///< an axis
+};
+
+/// Position and attitude of the camera in the navigation frame: metres, z up; origin and heading where it began.
+struct MetricPose {
+  bool valid = false;  ///< the rest means something
+  SE3 T_nav_cam;
+  Vec3 velocity_m_s = Vec3::Zero();  ///< of the camera, along the navigation frame's axes
+  Mat6 covariance = Mat6::Zero();    ///< of (position [m], rotation vector [rad]), along the navigation frame's axes
+  Mat3 velocity_covariance = Mat3::Zero();
+  double log_scale_sigma = 0;
+  /// By how much better knowledge of scale, vertical and map moved the last frame's pose [m], and turned it.
+  Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();
+};
+
+/// One thread; no allocation after the constructor. Frames and readings in the order of their times.
+class InertialOdometry {
+ public:
+  explicit InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options = {});
+
+  void add(const ImuReading& reading);
+  /// What knows metres beside the camera. False: no number, out of order, or no room; it is passed over.
+  bool take(const AidReading& reading) { return aids_.take(reading); }
+  /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured whole.
+  bool camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const;
+  /// Takes in one frame and says what it is in metres. Bounded: one solution of the window at most.
+  MetricPose frame(const VisualPose& pose);
+
+  /// A pose in the frame that MetricPose has, in the map's own; map_id: of that map. False while it is not metric.
+  bool in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const;
+
+  bool metric() const { return metric_; }
+  /// How often it became metric: poses of one number stand in one frame.
+  std::uint32_t begun() const { return begun_; }
+  /// Attempts to begin, and why the last one was refused.
+  struct Refusal {
+    const char* text = "";
+    double value = 0, limit = 0;
+  };
+  const Refusal& refusal() const { return refusal_; }
+  const InertialSmoother& smoother() const { return smoother_; }
+  const ScaleState& aided_scale() const { return aids_.state(); }
+  /// Pictures with which others contradicted the scale that is held for true.
+  std::uint64_t aids_contradicted() const { return aids_contradicted_; }
+  std::uint64_t refused_readings() const { return buffer_.refused(); }
+
+ private:
+  /// What was measured since the newest moment, up to a time; returns how much of it nobody measured.
+  rt::TimeNs measured_since(rt::TimeNs t_ns, Preintegration* since) const;
+  /// How fast vision strays now, by what it says itself.
+  void judge_stray(const VisualPose& pose);
+  void hear_aids(const VisualPose& pose);
+  /// What they say of the scale now, as far as it may be believed.
+  ScaleHint hint();
+  void begin_window(const VisualPose& pose);
+  bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
+  void try_to_begin(const VisualPose& pose);
+  bool refuse(const char* text, double value, double limit);
+  /// Biases and mounting are no further from what they were taken to be at first.
+  bool plausible(double most_sigmas);
+  bool convincing(const InertialSmoother::Report& report);
+  void level();
+  MetricPose tell(const VisualPose& pose);
+  /// Covariance of the left twist of T_cam_map without what was wrong at the anchor already: that is in the frame's
+  /// origin and heading.
+  Mat6 grown_since_anchor(const VisualPose& pose) const;
+  VisionSight sight_of(const VisualPose& pose) const;
+
+  const InertialOdometryOptions options_;
+  InertialPrior prior_;
+  ImuBuffer buffer_;
+  InertialSmoother smoother_;
+  ScaleAids aids_;
+  std::uint64_t aids_contradicted_ = 0;
+  // The vertical of the last attempt to begin, if that was sure of it; else zero.
+  Vec3 attempt_up_ = Vec3::Zero();
+  double attempt_up_sigma_ = 0;
+  // What the buffer forgets while no picture gives a pose: measured from the newest moment to t_bridge_ns_ (0:
+  // nothing).
+  Preintegration bridge_;
+  rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
+  bool metric_ = false;
+  bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
+  std::uint32_t begun_ = 0;
+  std::uint32_t map_id_ = 0;
+  // How fast vision strays [rad^2/s, depths^2/s], and of which map and when that was judged last.
+  double rotation_rate_ = 0, position_rate_ = 0;
+  std::uint32_t stray_map_id_ = 0;
+  rt::TimeNs t_stray_ns_ = 0;
+  Refusal refusal_;
+  // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).
+  Mat3 R_nav_map_ = Mat3::Identity();
+  Vec3 anchor_map_ = Vec3::Zero(), anchor_nav_ = Vec3::Zero();
+  SE3 anchor_pose_;  ///< the anchor's, camera to map
+  Mat6 anchor_covariance_ = Mat6::Zero();
+  SE3 last_map_;  ///< the last pose told, as vision has it, corrections of the map taken in
+  SE3 last_nav_;  ///< the last pose told: where a new map is joined on
+  bool have_nav_ = false;
+  bool told_ = false;  ///< last_map_ is of the present window
+  Vec3 last_camera_ = Vec3::Zero(), last_seen_camera_ = Vec3::Zero();
+  double way_ = 0;  ///< flown since the anchor [map units]
+};
+
+}  // namespace godwit::vo

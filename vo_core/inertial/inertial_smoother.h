@@ -1,0 +1,107 @@
+// A sliding window of moments tied by inertial measurements and by what vision saw: poses, velocities, biases, the
+// map's scale and vertical, the camera's mounting and time offset, with their covariance.
+#pragma once
+
+#include <array>
+#include <memory>
+
+#include "vo_core/inertial/inertial_factors.h"
+
+namespace godwit::vo {
+
+/// One moment.
+struct InertialNode {
+  rt::TimeNs t_ns = 0;
+  VisionSight sight;
+  Preintegration since_last;  ///< from the moment before to this one
+};
+
+/// How sure one is before anything was measured. One sigma each.
+struct InertialPrior {
+  ImuBias bias;
+  double gyro_bias_sigma = 0.1;    ///< [rad/s]
+  double accel_bias_sigma = 0.15;  ///< [m/s^2]
+  double mounting_sigma = 0.02;    ///< [rad]
+  double time_sigma = 3e-3;        ///< [s]
+  Vec3 mounting = Vec3::Zero();
+  double time_offset_s = 0;
+};
+
+/// Gauss-Newton over a chain: only neighbours are tied, so that elimination from the oldest moment to the newest solves
+/// it, and what the first step of that leaves is the prior when the oldest moment goes (its first estimates stay: it is
+/// linearised once). One thread. No allocation after the constructor; time in proportion to the moments.
+class InertialSmoother {
+ public:
+  static constexpr int kNodes = 48;
+  using Matrix = Eigen::Matrix<double, InertialState::kSize, InertialState::kSize>;
+
+  explicit InertialSmoother(const CameraMounting& mounting, const InertialModel& model = {});
+  ~InertialSmoother();
+
+  /// Forgets all moments.
+  void clear();
+  /// A later moment. Its state is what the inertial sensor makes of the one before, or, for the first or with
+  /// from_vision, what vision saw, standing still. The oldest makes room where the window is full.
+  void add(const InertialNode& node);
+  /// The oldest moment leaves; what it knew stays as a prior of the next. At least two moments.
+  void drop_oldest();
+
+  int size() const { return count_; }
+  const InertialNode& node(int i) const { return nodes_[at(i)]; }
+  const InertialState& state(int i) const { return states_[at(i)]; }
+  InertialState& state(int i) { return states_[at(i)]; }
+  const InertialState& newest() const { return state(count_ - 1); }
+
+  /// The prior of the oldest moment: biases, mounting, time; nothing of scale, vertical and velocity.
+  void set_prior(const InertialPrior& prior);
+
+  /// What others say of the logarithm of the newest moment's scale, one sigma; 0: nobody does. It counts in each
+  /// solution and in no prior that a moment leaves, so that the same knowledge is never counted twice.
+  void hint_scale(double log_scale, double sigma) {
+    hint_ = log_scale;
+    hint_weight_ = sigma > 0 ? 1 / (sigma * sigma) : 0;
+  }
+
+  struct Report {
+    bool ok = false;
+    int iterations = 0;
+    double chi2 = 0;  ///< of all residuals but the prior's
+    int rows = 0;     ///< residuals
+    double step = 0;  ///< largest of the last step, in sigmas of the newest moment
+  };
+  /// Minimises, at most so many steps. Not ok: the system was singular, or something was not finite; the states are
+  /// then as they were.
+  Report solve(int max_iterations);
+  /// Of the newest moment's error, as of the last solve.
+  const Matrix& covariance() const { return covariance_; }
+  const InertialModel& model() const { return model_; }
+  const CameraMounting& mounting() const { return mounting_; }
+
+  /// The map was corrected: all moments turned about `pivot` and moved [map units], and with them what they know of the
+  /// vertical.
+  void move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift);
+
+ private:
+  struct Work;
+  std::size_t at(int i) const { return static_cast<std::size_t>((first_ + i) % kNodes); }
+  /// Adds what vision saw at moment i, absolutely, to its block; returns the squared residual.
+  double add_sight(int i, Matrix* H, InertialState::Error* b) const;
+  double add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, InertialState::Error* b_i,
+                  InertialState::Error* b_j) const;
+  void add_prior(Matrix* H, InertialState::Error* b) const;
+
+  const CameraMounting mounting_;
+  const InertialModel model_;
+  std::array<InertialNode, kNodes> nodes_;
+  std::array<InertialState, kNodes> states_;
+  int first_ = 0, count_ = 0;
+  // Prior of the oldest: (x - prior_at)^T H (x - prior_at) / 2 - b^T (x - prior_at).
+  Matrix prior_H_ = Matrix::Zero();
+  InertialState::Error prior_b_ = InertialState::Error::Zero();
+  InertialState prior_at_;
+  double hint_ = 0, hint_weight_ = 0;
+  Matrix covariance_ = Matrix::Identity();
+  std::unique_ptr<Work> work_;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,131 @@
+#include "vo_core/inertial/scale_aids.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace godwit::vo {
+bool ScaleAids::take(const AidReading& r) {
+  const bool number = r.value_m.allFinite() && std::isfinite(r.sigma_m) && r.sigma_m >= 0;
+  rt::TimeNs* const t_last_ns = &t_read_ns_[scale_source_index(r.source)];
+  if (!number || r.t_ns <= *t_last_ns || waiting_count_ == kWaiting) return false;
+  *t_last_ns = r.t_ns;
+  waiting_[waiting_count_++] = r;
+  return true;
+}
+
+bool ScaleAids::camera_at(rt::TimeNs t_ns, Vec3* camera) const {
+  for (std::size_t i = place_count_; i-- > 1;) {
+    const Place &from = places_[i - 1], &to = places_[i];
+    if (t_ns < from.t_ns) continue;
+    if (to.t_ns <= from.t_ns || to.t_ns - from.t_ns > options_.gap_ns) return false;
+    const double share = rt::to_seconds(t_ns - from.t_ns) / rt::to_seconds(to.t_ns - from.t_ns);
+    *camera = from.camera + share * (to.camera - from.camera);
+    return true;
+  }
+  return false;
+}
+
+void ScaleAids::keep_place(const AidPose& pose) {
+  if (place_count_ == kPlaces) {
+    std::move(places_.begin() + 1, places_.end(), places_.begin());
+    --place_count_;
+  }
+  places_[place_count_++] = {pose.t_ns, pose.camera};
+}
+
+void ScaleAids::pose(const AidPose& pose) {
+  if (pose.map_id != map_id_) {
+    map_id_ = pose.map_id;
+    state_.new_map();
+    moments_ = {};
+    t_ground_ns_ = 0;
+    place_count_ = 0;
+  }
+  keep_place(pose);
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < waiting_count_; ++i) {
+    const AidReading& r = waiting_[i];
+    if (r.t_ns > pose.t_ns) {
+      waiting_[kept++] = r;
+      continue;
+    }
+    Vec3 camera;
+    if (camera_at(r.t_ns, &camera)) compare(r, pose, camera);
+  }
+  waiting_count_ = kept;
+  state_.advance(pose.t_ns);
+  t_told_ns_ = std::max(t_told_ns_, pose.t_ns);
+}
+
+void ScaleAids::compare(const AidReading& r, const AidPose& pose, const Vec3& camera) {
+  if (r.source == ScaleSource::kRange) {
+    above_ground(r, pose, camera);
+    return;
+  }
+  Moment* const from = &moments_[scale_source_index(r.source)];
+  ScaleReading reading;
+  if (from->set && r.t_ns - from->t_ns <= options_.longest_ns) {
+    if (!lengths(r, pose, camera, *from, &reading)) return;
+    state_.take(reading);
+    t_told_ns_ = reading.t_ns;
+  }
+  *from = {true, r.t_ns, r.value_m, camera, r.sigma_m};
+}
+
+bool ScaleAids::lengths(const AidReading& r, const AidPose& pose, const Vec3& camera, const Moment& from,
+                        ScaleReading* out) const {
+  const Vec3 way = camera - from.camera, way_m = r.value_m - from.value_m;
+  double variance = r.sigma_m * r.sigma_m + from.sigma_m * from.sigma_m;
+  double stray = 0;
+  if (r.source == ScaleSource::kBarometer) {
+    if (pose.up.isZero()) return false;
+    out->units = pose.up.dot(way);
+    out->metres = way_m.z();
+    variance += options_.pressure_walk * options_.pressure_walk * rt::to_seconds(r.t_ns - from.t_ns);
+    stray = pose.up_sigma * (way - out->units * pose.up).norm();
+  } else {
+    out->units = way.norm();
+    // Noise makes every length longer, by two axes across it.
+    out->metres = std::sqrt(std::max(0.0, way_m.squaredNorm() - 2 * variance));
+    variance += options_.arm_m * options_.arm_m;
+  }
+  out->source = r.source;
+  // What comes late is news all the same, and the state's time never goes back.
+  out->t_ns = std::max(r.t_ns, t_told_ns_);
+  out->metres_sigma = std::sqrt(variance);
+  out->units_sigma = std::hypot(stray, options_.depth_share * pose.depth, options_.way_share * way.norm());
+  // Whether it is long enough is asked of vision where that can be told: who waits for a noisy length to become long
+  // takes it when its noise is long.
+  const bool known = state_.known();
+  const double metres = known ? std::abs(out->units) * state_.scale() : std::abs(out->metres);
+  const double share = known ? options_.share : options_.first_share;
+  return out->metres_sigma < share * metres && out->units_sigma < share * std::abs(out->units);
+}
+
+void ScaleAids::above_ground(const AidReading& r, const AidPose& pose, const Vec3& camera) {
+  const double down = -pose.up.dot(pose.beam);
+  const std::size_t n = pose.points.size();
+  if (r.t_ns - t_ground_ns_ < options_.ground_ns || pose.up.isZero() ||
+      n < static_cast<std::size_t>(options_.ground_points))
+    return;
+  // A beam that lies flatter than this meets a wall as soon as the ground.
+  if (!(down > 0.8)) return;
+  std::array<double, 64> below{};
+  const std::size_t count = std::min(n, below.size());
+  for (std::size_t i = 0; i < count; ++i) below[i] = pose.up.dot(camera - pose.points[i].cast<double>());
+  const auto place =
+      below.begin() + static_cast<std::ptrdiff_t>(options_.ground_quantile * static_cast<double>(count - 1));
+  std::nth_element(below.begin(), place, below.begin() + static_cast<std::ptrdiff_t>(count));
+  t_ground_ns_ = r.t_ns;
+  t_told_ns_ = std::max(r.t_ns, t_told_ns_);
+  state_.take({ScaleSource::kRange, t_told_ns_, down * r.value_m.z(), r.sigma_m, *place,
+               options_.ground_share * std::abs(*place)});
+}
+
+void ScaleAids::move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift) {
+  const auto move = [&](Vec3* p) { *p = pivot + turn * (*p - pivot) + shift; };
+  for (Moment& m : moments_) move(&m.camera);
+  for (std::size_t i = 0; i < place_count_; ++i) move(&places_[i].camera);
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,243 @@
+#include "vo_core/map/matcher.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+#include "vo_core/image/patch.h"
+
+namespace godwit::vo {
+namespace {
+
+constexpr int kAlignIterations = 8;
+constexpr float kMaxShiftPx = 4.0f;    // on the search level
+constexpr float kMaxResidual = 0.85f;  // residual over contrast: zero-mean correlation of about 0.6
+constexpr float kMaxResidualSeed = 0.60f;
+
+// Zero-mean sum of squared differences between 8-bit patches; `ref` row-major 8x8.
+struct ZeroMeanPatch {
+  alignas(16) std::array<std::uint8_t, 64> pixel;
+  int sum = 0, sum_sq = 0;
+
+  explicit ZeroMeanPatch(const ReferencePatch& ref) {
+    for (int y = 0; y < kPatchSize; ++y)
+      for (int x = 0; x < kPatchSize; ++x) {
+        const float v = std::clamp(ref.value[(y + 1) * kPatchBorderSize + x + 1], 0.0f, 255.0f);
+        const int i = static_cast<int>(v + 0.5f);
+        pixel[y * 8 + x] = static_cast<std::uint8_t>(i);
+        sum += i;
+        sum_sq += i * i;
+      }
+  }
+
+  int score(const std::uint8_t* p, int stride) const {
+    const hn::FixedTag<std::uint8_t, 8> du8;
+    const hn::FixedTag<std::int16_t, 8> di16;
+    const hn::FixedTag<std::int32_t, 4> di32;
+    auto ab = hn::Zero(di32), bb = hn::Zero(di32), b1 = hn::Zero(di32);
+    const auto one = hn::Set(di16, std::int16_t{1});
+    for (int y = 0; y < 8; ++y, p += stride) {
+      const auto a = hn::PromoteTo(di16, hn::Load(du8, pixel.data() + 8 * y));
+      const auto b = hn::PromoteTo(di16, hn::LoadU(du8, p));
+      auto unused = hn::Zero(di32);
+      ab = hn::ReorderWidenMulAccumulate(di32, a, b, ab, unused);
+      ab = hn::Add(ab, unused);
+      unused = hn::Zero(di32);
+      bb = hn::ReorderWidenMulAccumulate(di32, b, b, bb, unused);
+      bb = hn::Add(bb, unused);
+      unused = hn::Zero(di32);
+      b1 = hn::ReorderWidenMulAccumulate(di32, b, one, b1, unused);
+      b1 = hn::Add(b1, unused);
+    }
+    const int sab = hn::GetLane(hn::SumOfLanes(di32, ab));
+    const int sbb = hn::GetLane(hn::SumOfLanes(di32, bb));
+    const int sb = hn::GetLane(hn::SumOfLanes(di32, b1));
+    return sum_sq - 2 * sab + sbb - (sum * sum - 2 * sum * sb + sb * sb) / 64;
+  }
+};
+
+constexpr int kMaxZmssd = 64 * 900;  // mean squared difference of 30 grey levels squared
+
+float residual_limit(bool seed) {
+  return seed ? kMaxResidualSeed : kMaxResidual;
+}
+
+// Direction across the source's edge as the other view sees it. An edge's direction is carried by A; its normal by the
+// inverse transposed, or it would not stay normal where A shears or stretches.
+Vec2f warped_normal(const Eigen::Matrix2f& A, const Vec2f& normal) {
+  Eigen::Matrix2f cofactors;  // of A: its inverse transposed, times its determinant
+  cofactors << A(1, 1), -A(1, 0), -A(0, 1), A(0, 0);
+  const Vec2f n = cofactors * normal;
+  return (A.determinant() < 0.0f ? Vec2f(-n) : n).normalized();
+}
+
+MatchResult align_match(const rt::PyramidView& cur, const ReferencePatch& patch, const PatchSource& source,
+                        const Eigen::Matrix2f& A, int level, const Vec2f& px_guess, bool seed) {
+  MatchResult m;
+  m.level = level;
+  Vec2f px = to_level(px_guess, level);
+  FeatureAlignResult r;
+  if (source.feature->type == FeatureType::kEdgelet) {
+    m.gradient = warped_normal(A, source.feature->gradient);
+    r = align_1d(cur.level[level], patch, m.gradient, kAlignIterations, kMaxShiftPx, &px);
+  } else {
+    r = align_2d(cur.level[level], patch, kAlignIterations, kMaxShiftPx, &px);
+  }
+  m.residual = r.residual;
+  m.found = r.converged && r.residual < residual_limit(seed);
+  m.px = from_level(px, level);
+  return m;
+}
+
+}  // namespace
+
+bool warp_matrix(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
+                 Eigen::Matrix2f* A_cur_ref) {
+  // Central difference by the Jacobian chain: pixel -> ray at this depth (tangent plane of the bearing) -> other view.
+  const Vec3 p_ref = source.feature->bearing * source.depth;
+  Vec2 px_ref, px_cur;
+  Mat23 J_ref, J_cur;
+  if (!camera.project(p_ref, &px_ref, &J_ref) || !camera.project(T_cur_ref * p_ref, &px_cur, &J_cur)) return false;
+  // Plane facing the reference camera at the point: two unit vectors across the bearing.
+  const Vec3& f = source.feature->bearing;
+  Vec3 u = std::abs(f.z()) < 0.9 ? f.cross(Vec3::UnitZ()) : f.cross(Vec3::UnitX());
+  u.normalize();
+  const Vec3 v = f.cross(u);
+  Eigen::Matrix<double, 3, 2> B;
+  B << u, v;
+  const Eigen::Matrix2d D_ref = J_ref * B;
+  const Eigen::Matrix2d D_cur = J_cur * T_cur_ref.R * B;
+  const double det = D_ref.determinant();
+  if (std::abs(det) < 1e-12) return false;
+  *A_cur_ref = (D_cur * D_ref.inverse()).cast<float>();
+  return A_cur_ref->allFinite();
+}
+
+int search_level(const Eigen::Matrix2f& A_cur_ref, int level_ref, int max_level) {
+  // Area of one source-level pixel in the other view; each level up quarters it.
+  float area = std::abs(A_cur_ref.determinant()) * static_cast<float>(1 << (2 * level_ref));
+  int level = 0;
+  while (area > 3.0f && level < max_level) {
+    ++level;
+    area *= 0.25f;
+  }
+  return level;
+}
+
+bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int level_cur, ReferencePatch* patch) {
+  const int level_ref = source.feature->level;
+  const rt::ImageView& image = source.pyramid->level[level_ref];
+  const float scale = static_cast<float>(1 << level_cur) / static_cast<float>(1 << level_ref);
+  const Eigen::Matrix2f A = A_cur_ref.inverse() * scale;  // level_cur pixels -> level_ref pixels
+  if (!A.allFinite()) return false;
+  const Vec2f centre = to_level(source.feature->px, level_ref);
+  const float e = static_cast<float>(kPatchHalf + 1);
+  const float reach_x = (std::abs(A(0, 0)) + std::abs(A(0, 1))) * e;
+  const float reach_y = (std::abs(A(1, 0)) + std::abs(A(1, 1))) * e;
+  if (centre.x() - reach_x < 0.0f || centre.y() - reach_y < 0.0f ||
+      centre.x() + reach_x >= static_cast<float>(image.width - 1) ||
+      centre.y() + reach_y >= static_cast<float>(image.height - 1))
+    return false;
+  float* out = patch->value.data();
+  for (int y = 0; y < kPatchBorderSize; ++y) {
+    const float v = static_cast<float>(y) - e;
+    float px = centre.x() + A(0, 1) * v - A(0, 0) * e;
+    float py = centre.y() + A(1, 1) * v - A(1, 0) * e;
+    for (int x = 0; x < kPatchBorderSize; ++x, px += A(0, 0), py += A(1, 0)) *out++ = interpolate(image, px, py);
+  }
+  return true;
+}
+
+MatchResult match_direct(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
+                         const rt::PyramidView& cur, const Vec2f& px_guess, int max_level, int coarser) {
+  Eigen::Matrix2f A;
+  if (!warp_matrix(camera, source, T_cur_ref, &A)) return {};
+  const int level = search_level(A, source.feature->level, max_level) + coarser;
+  if (level > max_level) return {};
+  ReferencePatch patch;
+  if (!warp_patch(source, A, level, &patch)) return {};
+  return align_match(cur, patch, source, A, level, px_guess, false);
+}
+
+bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth) {
+  // Least squares of depth_ref * R f_ref + t = depth_cur * f_cur.
+  const Vec3 a = T_cur_ref.R * f_ref;
+  const double aa = a.dot(a), ab = -a.dot(f_cur), bb = f_cur.dot(f_cur);
+  const double det = aa * bb - ab * ab;
+  if (det < 1e-8) return false;
+  const double r0 = -a.dot(T_cur_ref.t), r1 = f_cur.dot(T_cur_ref.t);
+  *depth = (bb * r0 - ab * r1) / det;
+  return *depth > 0.0;
+}
+
+EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
+                              const rt::PyramidView& cur, double depth_min, double depth_max, int max_level) {
+  EpipolarResult result;
+  Eigen::Matrix2f A;
+  if (!warp_matrix(camera, source, T_cur_ref, &A)) return result;
+  const int level = search_level(A, source.feature->level, max_level);
+  const Vec3& f = source.feature->bearing;
+  const Vec3 p_near = T_cur_ref * (f * depth_min), p_far = T_cur_ref * (f * depth_max);
+  Vec2 a, b;
+  if (!camera.project(p_near, &a) || !camera.project(p_far, &b)) return result;
+  const double scale = 1.0 / (1 << level);
+  const double length = (a - b).norm() * scale;
+
+  // An edge along the epipolar line says nothing about depth.
+  if (source.feature->type == FeatureType::kEdgelet && length > 1.0) {
+    const Vec2f direction = (a - b).cast<float>().normalized();
+    if (std::abs(warped_normal(A, source.feature->gradient).dot(direction)) < 0.7f) return result;
+  }
+  ReferencePatch patch;
+  if (!warp_patch(source, A, level, &patch)) return result;
+
+  const rt::ImageView& image = cur.level[level];
+  const auto inside = [&](const Vec2f& p) {
+    return p.x() >= kPatchHalf + 1 && p.y() >= kPatchHalf + 1 &&
+           p.x() < static_cast<float>(image.width - kPatchHalf - 2) &&
+           p.y() < static_cast<float>(image.height - kPatchHalf - 2);
+  };
+  Vec2f best_px = from_level(to_level(((a + b) * 0.5).cast<float>(), level), level);
+  if (length < 2.0) {
+    result.visible = inside(to_level(best_px, level));
+    if (!result.visible) return result;
+  } else {
+    const ZeroMeanPatch zm(patch);
+    const int steps = std::clamp(static_cast<int>(length / 0.7), 2, kMaxEpipolarSteps);
+    // Steps are even on the unit sphere's chord between the two rays, which is near enough to even in the picture.
+    const Vec3 fa = p_near.normalized(), fb = p_far.normalized();
+    int best = kMaxZmssd, second = kMaxZmssd, best_step = -10;
+    int last_x = -1, last_y = -1;
+    for (int s = 0; s <= steps; ++s) {
+      const double w = static_cast<double>(s) / steps;
+      Vec2 px;
+      if (!camera.project(fa + w * (fb - fa), &px)) continue;
+      const Vec2f pl = to_level(px.cast<float>(), level);
+      if (!inside(pl)) continue;
+      result.visible = true;
+      const int x = static_cast<int>(pl.x() + 0.5f), y = static_cast<int>(pl.y() + 0.5f);
+      if (x == last_x && y == last_y) continue;
+      last_x = x;
+      last_y = y;
+      const int score = zm.score(image.row(y - kPatchHalf) + x - kPatchHalf, image.stride);
+      if (score < best) {
+        if (s - best_step > 3) second = best;
+        best = score;
+        best_step = s;
+        best_px = from_level(Vec2f(static_cast<float>(x), static_cast<float>(y)), level);
+      } else if (score < second && s - best_step > 3) {
+        second = score;
+      }
+    }
+    if (best >= kMaxZmssd) return result;
+    // Repeated texture: two places on the line look nearly alike.
+    if (second<kMaxZmssd&& static_cast<float>(best)> 0.8f * static_cast<float>(second)) return result;
+  }
+  result.match = align_match(cur, patch, source, A, level, best_px, true);
+  if (!result.match.found) return result;
+  const Vec3 f_cur = camera.unproject(result.match.px.cast<double>());
+  result.depth_known = depth_from_triangulation(T_cur_ref, f, f_cur, &result.depth);
+  return result;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,369 @@
+#include "vo_core/map/multi_view_refine.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace godwit::vo {
+namespace {
+
+constexpr int kMaxViews = MultiViewState::kMaxViews;
+constexpr int kRoom = MultiViewState::kMaxPoints;
+constexpr int kMaxDim = 6 * kMaxViews;
+/// Width of the Cauchy weight in sigmas: 95 % efficiency under Gaussian noise.
+constexpr double kCauchy = 2.385;
+/// Median length of a two-dimensional Gaussian vector in sigmas.
+constexpr double kMedianRayleigh = 1.1774;
+/// Cost of a measurement behind a view [sigma^2]: that of a 100 sigma outlier.
+const double kBehindCost = kCauchy * kCauchy * std::log1p(1e4 / (kCauchy * kCauchy));
+/// Weight of the residual |t_last| - 1 [px^2]; a free direction otherwise, so any large value serves.
+constexpr double kScaleWeight = 1e6;
+
+/// Lower Cholesky factor in place. False if not positive definite. Plain loops: Eigen's blocked one may allocate.
+bool cholesky(std::vector<double>* matrix, int n) {
+  double* a = matrix->data();
+  for (int j = 0; j < n; ++j) {
+    double d = a[j * kMaxDim + j];
+    for (int k = 0; k < j; ++k) d -= a[j * kMaxDim + k] * a[j * kMaxDim + k];
+    if (!(d > 1e-12)) return false;
+    d = std::sqrt(d);
+    a[j * kMaxDim + j] = d;
+    for (int i = j + 1; i < n; ++i) {
+      double s = a[i * kMaxDim + j];
+      for (int k = 0; k < j; ++k) s -= a[i * kMaxDim + k] * a[j * kMaxDim + k];
+      a[i * kMaxDim + j] = s / d;
+    }
+  }
+  return true;
+}
+
+/// x = L^-1 x.
+void solve_lower(const std::vector<double>& l, int n, double* x) {
+  for (int i = 0; i < n; ++i) {
+    double s = x[i];
+    for (int k = 0; k < i; ++k) s -= l[static_cast<std::size_t>(i * kMaxDim + k)] * x[k];
+    x[i] = s / l[static_cast<std::size_t>(i * kMaxDim + i)];
+  }
+}
+
+/// x = L^-T x.
+void solve_upper(const std::vector<double>& l, int n, double* x) {
+  for (int i = n - 1; i >= 0; --i) {
+    double s = x[i];
+    for (int k = i + 1; k < n; ++k) s -= l[static_cast<std::size_t>(k * kMaxDim + i)] * x[k];
+    x[i] = s / l[static_cast<std::size_t>(i * kMaxDim + i)];
+  }
+}
+
+/// Normal equations at one state, points kept apart from views.
+struct Normal {
+  std::array<Mat6, kMaxViews> A;
+  std::array<Vec6, kMaxViews> b;
+  std::vector<double> W = std::vector<double>(static_cast<std::size_t>(kRoom) * kMaxDim);  // row a point
+  std::array<double, kRoom> C{}, d{};
+  double cost = 0;
+};
+
+}  // namespace
+
+bool InverseDepthResidual::evaluate(const SE3& T, const Vec2& ray, double inverse_depth, const Vec2& measured,
+                                    double focal_px) {
+  const Vec3 q0 = T.R * Vec3(ray.x(), ray.y(), 1.0);
+  const Vec3 q = q0 + inverse_depth * T.t;
+  if (!(q.z() > 1e-3)) return false;
+  const double iz = 1.0 / q.z(), u = q.x() * iz, v = q.y() * iz;
+  r = focal_px * (Vec2(u, v) - measured);
+  const double s = focal_px * iz;
+  Mat23 P;
+  P << s, 0, -s * u, 0, s, -s * v;
+  J_t = inverse_depth * P;
+  // P * -skew(q0), written out.
+  J_w(0, 0) = s * u * -q0.y();
+  J_w(0, 1) = s * (q0.z() + u * q0.x());
+  J_w(0, 2) = s * -q0.y();
+  J_w(1, 0) = s * (-q0.z() - v * q0.y());
+  J_w(1, 1) = s * v * q0.x();
+  J_w(1, 2) = s * q0.x();
+  J_rho = P * T.t;
+  return true;
+}
+
+struct MultiViewRefiner::Impl {
+  int points = 0, views = 0;
+  double focal_px = 1, min_sigma_px = 0.1;
+  std::array<Vec2, kRoom> ray;
+  std::vector<Vec2> measured = std::vector<Vec2>(static_cast<std::size_t>(kMaxViews) * kRoom);
+  std::array<Normal, 2> normal;
+  std::vector<double> S = std::vector<double>(static_cast<std::size_t>(kMaxDim) * kMaxDim);
+  std::vector<double> scratch = std::vector<double>(static_cast<std::size_t>(kMaxViews) * kRoom);
+  MultiViewState trial;
+
+  const Vec2& at(int view, int point) const { return measured[static_cast<std::size_t>(view * kRoom + point)]; }
+
+  void build(const MultiViewState& state, double sigma_px, Normal* n) const {
+    const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
+    n->cost = 0;
+    for (int k = 0; k < views; ++k) {
+      n->A[static_cast<std::size_t>(k)].setZero();
+      n->b[static_cast<std::size_t>(k)].setZero();
+    }
+    InverseDepthResidual e;
+    for (int i = 0; i < points; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      double* w = &n->W[p * kMaxDim];
+      n->C[p] = n->d[p] = 0;
+      for (int k = 0; k < views; ++k) {
+        const auto v = static_cast<std::size_t>(k);
+        Eigen::Map<Vec6> cross(w + 6 * k);
+        if (!e.evaluate(state.T_view_ref[v], ray[p], state.inverse_depth[p], at(k, i), focal_px)) {
+          n->cost += kBehindCost;
+          cross.setZero();
+          continue;
+        }
+        const double e2 = e.r.squaredNorm();
+        const double weight = width2 / (width2 + e2);
+        n->cost += kCauchy * kCauchy * std::log1p(e2 / width2);
+        Eigen::Matrix<double, 2, 6> J;
+        J << e.J_t, e.J_w;
+        n->A[v].noalias() += weight * (J.transpose() * J);
+        n->b[v].noalias() += weight * (J.transpose() * e.r);
+        cross.noalias() = weight * (J.transpose() * e.J_rho);
+        n->C[p] += weight * e.J_rho.squaredNorm();
+        n->d[p] += weight * e.J_rho.dot(e.r);
+      }
+    }
+  }
+
+  /// Reduced system of the views, damped, factored in S. False if it is not positive definite.
+  bool reduce(const MultiViewState& state, const Normal& n, double damping, double* g) {
+    const int dim = 6 * views;
+    std::fill(S.begin(), S.end(), 0.0);
+    for (int k = 0; k < views; ++k) {
+      for (int r = 0; r < 6; ++r) {
+        for (int c = 0; c <= r; ++c)
+          S[static_cast<std::size_t>((6 * k + r) * kMaxDim + 6 * k + c)] = n.A[static_cast<std::size_t>(k)](r, c);
+        S[static_cast<std::size_t>((6 * k + r) * kMaxDim + 6 * k + r)] *= 1.0 + damping;
+        g[6 * k + r] = n.b[static_cast<std::size_t>(k)](r);
+      }
+    }
+    const Vec3& t = state.T_view_ref[static_cast<std::size_t>(views - 1)].t;  // length 1
+    for (int r = 0; r < 3; ++r)
+      for (int c = 0; c <= r; ++c)
+        S[static_cast<std::size_t>((dim - 6 + r) * kMaxDim + dim - 6 + c)] += kScaleWeight * t(r) * t(c);
+    for (int i = 0; i < points; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      const double inverse = point_inverse(n, p, damping);
+      const double* w = &n.W[p * kMaxDim];
+      for (int r = 0; r < dim; ++r) {
+        const double s = w[r] * inverse;
+        double* row = &S[static_cast<std::size_t>(r * kMaxDim)];
+        for (int c = 0; c <= r; ++c) row[c] -= s * w[c];
+        g[r] -= s * n.d[p];
+      }
+    }
+    return cholesky(&S, dim);
+  }
+
+  /// 1 / C, 0 where the point has no parallax at all and so must not move.
+  static double point_inverse(const Normal& n, std::size_t p, double damping) {
+    const double c = n.C[p] * (1.0 + damping);
+    return c > 1e-6 ? 1.0 / c : 0.0;
+  }
+
+  bool step(const MultiViewState& state, const Normal& n, double damping, MultiViewState* next) {
+    std::array<double, kMaxDim> x{};
+    if (!reduce(state, n, damping, x.data())) return false;
+    const int dim = 6 * views;
+    solve_lower(S, dim, x.data());
+    solve_upper(S, dim, x.data());
+    for (int k = 0; k < views; ++k) {
+      const Eigen::Map<const Vec6> dx(x.data() + 6 * k);
+      const SE3& T = state.T_view_ref[static_cast<std::size_t>(k)];
+      next->T_view_ref[static_cast<std::size_t>(k)] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
+    }
+    for (int i = 0; i < points; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      const double* w = &n.W[p * kMaxDim];
+      double rest = n.d[p];
+      for (int r = 0; r < dim; ++r) rest -= w[r] * x[static_cast<std::size_t>(r)];
+      next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * rest;
+    }
+    const double length = next->T_view_ref[static_cast<std::size_t>(views - 1)].t.norm();
+    if (!(length > 1e-3 && length < 1e3)) return false;
+    for (int k = 0; k < views; ++k) {
+      next->T_view_ref[static_cast<std::size_t>(k)].t /= length;
+      next->T_view_ref[static_cast<std::size_t>(k)].normalize();
+    }
+    for (int i = 0; i < points; ++i) next->inverse_depth[static_cast<std::size_t>(i)] *= length;
+    return true;
+  }
+};
+
+MultiViewRefiner::MultiViewRefiner() : impl_(std::make_unique<Impl>()) {}
+MultiViewRefiner::~MultiViewRefiner() = default;
+
+void MultiViewRefiner::begin(std::span<const Vec2> rays, double focal_px, double min_sigma_px) {
+  Impl& m = *impl_;
+  m.points = static_cast<int>(std::min<std::size_t>(rays.size(), kRoom));
+  m.views = 0;
+  m.focal_px = focal_px;
+  m.min_sigma_px = min_sigma_px;
+  std::copy_n(rays.begin(), m.points, m.ray.begin());
+}
+
+void MultiViewRefiner::add_view(std::span<const Vec2> measured) {
+  Impl& m = *impl_;
+  if (m.views == kMaxViews || measured.size() < static_cast<std::size_t>(m.points)) return;
+  std::copy_n(measured.begin(), m.points, m.measured.begin() + m.views * kRoom);
+  ++m.views;
+}
+
+void MultiViewRefiner::refine_pose(int view, int iterations, MultiViewState* state) const {
+  const Impl& m = *impl_;
+  SE3& T = state->T_view_ref[static_cast<std::size_t>(view)];
+  InverseDepthResidual e;
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    Mat6 A = Mat6::Zero();
+    Vec6 b = Vec6::Zero();
+    // The start may be several pixels off: a wide weight that narrows as the steps go on.
+    const double width = std::max(kCauchy * m.min_sigma_px, 8.0 / (1 << std::min(iteration, 5)));
+    for (int i = 0; i < m.points; ++i) {
+      const auto p = static_cast<std::size_t>(i);
+      if (!e.evaluate(T, m.ray[p], state->inverse_depth[p], m.at(view, i), m.focal_px)) continue;
+      const double weight = width * width / (width * width + e.r.squaredNorm());
+      Eigen::Matrix<double, 2, 6> J;
+      J << e.J_t, e.J_w;
+      A.noalias() += weight * (J.transpose() * J);
+      b.noalias() += weight * (J.transpose() * e.r);
+    }
+    A.diagonal() *= 1.0 + 1e-6;
+    const Vec6 dx = A.ldlt().solve(b);
+    if (!dx.allFinite()) return;
+    T = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
+    T.normalize();
+  }
+}
+
+double MultiViewRefiner::refine(int iterations, MultiViewState* state) {
+  Impl& m = *impl_;
+  const double sigma_px = sigma(*state);
+  Normal* current = &m.normal[0];
+  Normal* next = &m.normal[1];
+  m.build(*state, sigma_px, current);
+  double damping = 1e-4;
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    if (!m.step(*state, *current, damping, &m.trial)) {
+      damping = std::max(1e-3, damping * 10.0);
+      continue;
+    }
+    m.build(m.trial, sigma_px, next);
+    if (next->cost < current->cost) {
+      const bool converged = current->cost - next->cost < 1e-5 * current->cost;
+      *state = m.trial;
+      std::swap(current, next);
+      damping *= 0.1;
+      if (converged) break;
+    } else {
+      damping = std::max(1e-3, damping * 10.0);
+    }
+  }
+  return sigma_px;
+}
+
+double MultiViewRefiner::cost(const MultiViewState& state, double sigma_px) const {
+  const Impl& m = *impl_;
+  const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
+  double sum = 0;
+  InverseDepthResidual e;
+  for (int i = 0; i < m.points; ++i) {
+    const auto p = static_cast<std::size_t>(i);
+    for (int k = 0; k < m.views; ++k) {
+      const bool front = e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p],
+                                    m.at(k, i), m.focal_px);
+      sum += front ? kCauchy * kCauchy * std::log1p(e.r.squaredNorm() / width2) : kBehindCost;
+    }
+  }
+  return sum;
+}
+
+double MultiViewRefiner::sigma(const MultiViewState& state) {
+  Impl& m = *impl_;
+  InverseDepthResidual e;
+  std::ptrdiff_t count = 0;
+  for (int i = 0; i < m.points; ++i) {
+    const auto p = static_cast<std::size_t>(i);
+    for (int k = 0; k < m.views; ++k) {
+      const bool front = e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p],
+                                    m.at(k, i), m.focal_px);
+      m.scratch[static_cast<std::size_t>(count++)] = front ? e.r.norm() : std::numeric_limits<double>::max();
+    }
+  }
+  if (count == 0) return m.min_sigma_px;
+  const auto middle = m.scratch.begin() + count / 2;
+  std::nth_element(m.scratch.begin(), middle, m.scratch.begin() + count);
+  // Each point's own depth takes one of its 2 x views degrees of freedom.
+  const double freedom = std::sqrt(2.0 * m.views / (2.0 * m.views - 1.0));
+  return std::max(m.min_sigma_px, std::min(*middle / kMedianRayleigh * freedom, 1e3));
+}
+
+double MultiViewRefiner::point_rms(const MultiViewState& state, int point) const {
+  const Impl& m = *impl_;
+  const auto p = static_cast<std::size_t>(point);
+  double sum = 0;
+  InverseDepthResidual e;
+  for (int k = 0; k < m.views; ++k) {
+    if (!e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p], m.at(k, point),
+                    m.focal_px))
+      return std::numeric_limits<double>::infinity();
+    sum += e.r.squaredNorm();
+  }
+  return std::sqrt(sum / (2.0 * m.views));
+}
+
+bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double sigma_px,
+                                            std::span<const std::uint8_t> use, std::span<double> out) {
+  Impl& m = *impl_;
+  Normal& n = m.normal[0];
+  m.build(state, sigma_px, &n);
+  std::array<double, kMaxDim> unused{}, mean{};
+  if (!m.reduce(state, n, 1e-9, unused.data())) return false;
+  const int dim = 6 * m.views;
+  // A change x of the views moves point i's log inverse depth by -W_i x / (C_i rho_i); the mean of that over the points
+  // is a change of scale.
+  const auto slope = [&](std::size_t p) {
+    const double inverse = Impl::point_inverse(n, p, 0.0);
+    return -inverse / state.inverse_depth[p];
+  };
+  double used = 0;
+  for (int i = 0; i < m.points; ++i) {
+    const auto p = static_cast<std::size_t>(i);
+    if (use[p] == 0) continue;
+    used += 1;
+    for (int r = 0; r < dim; ++r)
+      mean[static_cast<std::size_t>(r)] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
+  }
+  if (used < 1) return false;
+  for (double& v : mean) v /= used;
+  for (int i = 0; i < m.points; ++i) {
+    const auto p = static_cast<std::size_t>(i);
+    const double inverse = Impl::point_inverse(n, p, 0.0);
+    if (!(inverse > 0)) {
+      out[p] = std::numeric_limits<double>::infinity();
+      continue;
+    }
+    std::array<double, kMaxDim> x{};
+    for (int r = 0; r < dim; ++r) {
+      const auto c = static_cast<std::size_t>(r);
+      x[c] = slope(p) * n.W[p * kMaxDim + c] - mean[c];
+    }
+    solve_lower(m.S, dim, x.data());
+    double variance = inverse / (state.inverse_depth[p] * state.inverse_depth[p]);
+    for (int r = 0; r < dim; ++r) variance += x[static_cast<std::size_t>(r)] * x[static_cast<std::size_t>(r)];
+    out[p] = sigma_px * std::sqrt(variance);
+  }
+  return true;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,64 @@
+#include "vo_core/map/pose_certainty.h"
+
+namespace godwit::vo {
+
+void PoseCertainty::clear() {
+  shares_.centre = 0;
+  shares_.count = 0;
+  in_map_.fill(Mat6::Zero());
+}
+
+const MapShare* PoseCertainty::find_share(std::uint32_t keyframe_id) const {
+  for (int i = 0; i < shares_.count; ++i)
+    if (shares_.share[static_cast<std::size_t>(i)].keyframe_id == keyframe_id)
+      return &shares_.share[static_cast<std::size_t>(i)];
+  return nullptr;
+}
+
+RelativePose PoseCertainty::relative(const Map& map, const SE3& T_cam_world, rt::TimeNs t_capture_ns, const Mat6& own,
+                                     const Mat6& strayed) const {
+  // The newest keyframe that is old enough; where all are younger, the oldest. Those with a known share come first.
+  int best = -1;
+  const auto better = [&](const Keyframe& a, const Keyframe& b) {
+    const bool known_a = find_share(a.id) != nullptr, known_b = find_share(b.id) != nullptr;
+    if (known_a != known_b) return known_a;
+    const bool old_a = t_capture_ns - a.t_capture_ns >= options_.reference_age_ns;
+    const bool old_b = t_capture_ns - b.t_capture_ns >= options_.reference_age_ns;
+    if (old_a != old_b) return old_a;
+    return old_a ? a.id > b.id : a.id < b.id;
+  };
+  for (int k = 0; k < kMaxKeyframes; ++k) {
+    const Keyframe& kf = map.keyframe(k);
+    if (kf.id == 0 || kf.t_capture_ns >= t_capture_ns) continue;
+    if (best < 0 || better(kf, map.keyframe(best))) best = k;
+  }
+  RelativePose out;
+  if (best < 0) return out;
+  const Keyframe& ref = map.keyframe(best);
+  const SE3 T_cam_ref = T_cam_world * ref.T_kf_world.inverse();
+  out.keyframe_id = ref.id;
+  out.t_keyframe_ns = ref.t_capture_ns;
+  out.T_ref_cam = T_cam_ref.inverse();
+  const MapShare* share = find_share(ref.id);
+  const int centre = map.find_keyframe(shares_.centre);
+  if (share != nullptr && centre >= 0) {
+    const Mat6 ad_centre = adjoint(T_cam_world * map.keyframe(centre).T_kf_world.inverse());
+    out.covariance = own + ad_centre * share->covariance * ad_centre.transpose();
+  } else {
+    // Before the first adjustment: the keyframe hangs on the points as the frame does.
+    const Mat6 ad_ref = adjoint(T_cam_ref);
+    out.covariance = own + ad_ref * own * ad_ref.transpose();
+  }
+  const Mat6 ad = adjoint(T_cam_ref);
+  out.covariance += strayed + ad * strayed * ad.transpose();
+  return out;
+}
+
+Mat6 PoseCertainty::in_map(const Map& map, const RelativePose& relative) const {
+  const int place = map.find_keyframe(relative.keyframe_id);
+  if (place < 0) return relative.covariance;
+  const Mat6 ad = adjoint(relative.T_ref_cam.inverse());
+  return relative.covariance + ad * in_map_[static_cast<std::size_t>(place)] * ad.transpose();
+}
+
+}  // namespace godwit::vo

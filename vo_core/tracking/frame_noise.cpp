@@ -1,0 +1,84 @@
+#include "vo_core/tracking/frame_noise.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
+
+#include "vo_core/geometry/residual_spread.h"
+
+namespace godwit::vo {
+namespace {
+constexpr double kKept = 0.95;  ///< of the sums a frame later: an average over some 20 frames
+constexpr int kFewest = 16;     ///< corners, two a band
+}  // namespace
+
+FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<const PoseMeasurement> measurements,
+                                       const SE3& T_cam_world, double weight_scale) {
+  constexpr int kBands = ResidualSpread::kBands;
+  ResidualSpread spread;
+  Mat6 H = Mat6::Zero();
+  std::array<Mat26, kBands> in_band;  // sums of the Jacobians over stated sigmas
+  std::array<int, kBands> count{};
+  in_band.fill(Mat26::Zero());
+  for (const PoseMeasurement& m : measurements) {
+    Vec2 r;
+    Mat26 J;
+    if (!pose_residual(camera, T_cam_world, m, &r, &J)) continue;
+    const double inv_sigma = 1.0 / m.sigma_px;
+    const double u = r.norm() * inv_sigma / (weight_scale * kTukey);
+    const double v = u * u;
+    const bool edgelet = m.type == FeatureType::kEdgelet;
+    J *= inv_sigma;
+    H.noalias() += J.transpose() * J;
+    const double row = m.px.y() / camera.height();
+    if (!edgelet) {
+      in_band[ResidualSpread::band(row)] += J;
+      ++count[ResidualSpread::band(row)];
+    }
+    if (v >= 1.0) {
+      spread.add(Vec2::Zero(), 0.0, edgelet ? 1 : 2, row);
+      continue;
+    }
+    // psi = r (1 - v)^2; its derivative is (1 - v)(1 - 5 v) along r and (1 - v)^2 across.
+    const double slope = edgelet ? (1.0 - v) * (1.0 - 5.0 * v) : (1.0 - v) * (1.0 - 3.0 * v);
+    spread.add(r * (inv_sigma * (1.0 - v) * (1.0 - v)), slope, edgelet ? 1 : 2, row);
+  }
+  spread.close_picture();
+  FrameCovariance out;
+  const double variance = spread.variance(6);
+  const Eigen::LDLT<Mat6> ldlt(H);
+  if (!(variance > 0.0) || ldlt.info() != Eigen::Success || !ldlt.isPositive()) return out;
+  const Mat6 H_inv = ldlt.solve(Mat6::Identity());
+  if (!H_inv.allFinite()) return out;
+
+  // What the bands' sums would come to if all measurements were independent: 2 n less what the pose takes away.
+  double sums = 0.0, squares = 0.0;
+  int corners = 0;
+  Mat26 J_all = Mat26::Zero();
+  for (int g = 0; g < kBands; ++g) {
+    const auto k = static_cast<std::size_t>(g);
+    sums += 2.0 * count[k] - (in_band[k] * H_inv * in_band[k].transpose()).trace();
+    squares += static_cast<double>(count[k]) * count[k];
+    corners += count[k];
+    J_all += in_band[k];
+  }
+  if (corners < kFewest) return {H_inv * variance, Mat6::Zero()};
+  const double independent = spread.band_square() / (2.0 * corners - 6.0) * sums;
+  sums_ = kKept * sums_ + spread.band_sum_square();
+  independent_ = kKept * independent_ + independent;
+  squares_ = kKept * squares_ + squares;
+  out.noise = H_inv * (variance * std::max(1.0, sums_ / independent_));
+  out.strayed.setZero();
+  if (!rolling_) return out;
+  // Each band of a rolling shutter is another time. By how much the bands are off together, beyond chance, says how far
+  // the camera strays within one readout from where the constant velocity has it; so far it may have strayed at the
+  // capture time, for which the pose is told. What strays smoothly is just what a pose takes for its own: of the 2
+  // kBands sums its six unknowns leave the rest.
+  constexpr double kLeft = (2.0 * kBands - 6.0) / (2.0 * kBands);
+  const double strayed = std::max(0.0, sums_ - independent_) / (2.0 * squares_ * kLeft);
+  const Eigen::Matrix<double, 6, 2> moved = H_inv * J_all.transpose();
+  out.strayed = strayed * moved * moved.transpose();
+  return out;
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,36 @@
+// What one frame's own noise makes of its pose, from the residuals that the pose leaves (residual_spread.h).
+#pragma once
+
+#include <span>
+
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/tracking/pose_optimizer.h"
+
+namespace godwit::vo {
+
+/// Of the left twist (v, w) of T_cam_world, the map taken for true [map units, rad].
+struct FrameCovariance {
+  Mat6 noise = Mat6::Identity();  ///< of the measurements
+  /// Where the camera was at the capture time against where a constant velocity through the readout has it. Zero with a
+  /// global shutter.
+  Mat6 strayed = Mat6::Zero();
+};
+
+/// Tracker thread. No allocation.
+class FrameNoise {
+ public:
+  explicit FrameNoise(bool rolling_shutter) : rolling_(rolling_shutter) {}
+  void reset() { sums_ = independent_ = squares_ = 0.0; }
+
+  /// Of the pose that minimises Tukey's biweight of the measurements' residuals over `weight_scale` stated sigmas
+  /// (pose_optimizer.h). Bounded by the measurements. Identity when they do not determine the pose.
+  FrameCovariance covariance(const CameraModel& camera, std::span<const PoseMeasurement> measurements,
+                             const SE3& T_cam_world, double weight_scale);
+
+ private:
+  bool rolling_;
+  // What one picture tells of its bands hangs on a dozen sums: averaged over the last second or so.
+  double sums_ = 0.0, independent_ = 0.0, squares_ = 0.0;
+};
+
+}  // namespace godwit::vo

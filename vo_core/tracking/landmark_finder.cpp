@@ -1,0 +1,212 @@
+#include "vo_core/tracking/landmark_finder.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace godwit::vo {
+
+LandmarkFinder::LandmarkFinder(const CameraModel& camera, const LandmarkFinderOptions& options)
+    : camera_(camera),
+      options_(options),
+      detector_(camera.width(), camera.height(), FeatureDetectorOptions{.edgelets = false}),
+      looks_(std::make_unique<std::array<Look, kMaxPoints>>()) {
+  options_.corners = std::min(options_.corners, kMaxCorners);
+}
+LandmarkFinder::~LandmarkFinder() = default;
+
+void LandmarkFinder::forget() {
+  for (Look& look : *looks_) look = {};
+}
+
+double LandmarkFinder::median_depth(const Map& map) {
+  std::array<double, kMaxKeyframes> depth;
+  int n = 0;
+  for (int k = 0; k < kMaxKeyframes; ++k)
+    if (map.keyframe(k).id != 0) depth[static_cast<std::size_t>(n++)] = map.keyframe(k).median_depth;
+  if (n == 0) return 0.0;
+  std::nth_element(depth.begin(), depth.begin() + n / 2, depth.begin() + n);
+  return depth[static_cast<std::size_t>(n / 2)];
+}
+
+void LandmarkFinder::learn(const Map& map, int points) {
+  int described = 0;
+  const int end = map.point_end();
+  for (int i = 0; i < end && described < points; ++i) {
+    if (next_to_learn_ >= end) next_to_learn_ = 0;
+    const int index = next_to_learn_++;
+    const MapPoint& p = map.point(index);
+    Look& look = (*looks_)[static_cast<std::size_t>(index)];
+    if (!p.active) continue;
+    if (look.generation == p.generation && (look.known || look.observations == p.observation_count)) continue;
+    look.generation = p.generation;
+    look.observations = p.observation_count;
+    look.known = false;
+    // Of its views any that is not too near the edge.
+    for (int k = 0; k < p.observation_count && !look.known; ++k) {
+      const Observation& o = p.observations[static_cast<std::size_t>(k)];
+      const Keyframe& kf = map.keyframe(o.keyframe);
+      look.known = upright_.describe(kf.pyramid, kf.features[o.feature].px, &look.descriptor);
+    }
+    ++described;
+  }
+}
+
+int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt) {
+  const BriefPattern pattern = roll == 0.0 ? upright_ : BriefPattern(roll);
+  constexpr std::uint16_t kFree = 0xffff;
+  std::array<std::uint16_t, kMaxPoints> match_of_point;
+  const int end = map.point_end();
+  std::fill_n(match_of_point.begin(), end, kFree);
+  const double near = options_.elsewhere * median_depth(map);
+  // Neighbours in the array are mostly neighbours in time and place.
+  int known = 0;
+  std::array<std::uint16_t, kMaxPoints> compared;
+  const int first = attempt * options_.max_points / 2;
+  for (int k = 0; k < end && known < options_.max_points; ++k) {
+    const int i = (first + k) % end;
+    const Look& look = (*looks_)[static_cast<std::size_t>(i)];
+    const MapPoint& p = map.point(i);
+    if (look.known && p.active && p.generation == look.generation)
+      compared[static_cast<std::size_t>(known++)] = static_cast<std::uint16_t>(i);
+  }
+  int n = 0;
+  for (int c = 0; c < corner_count_; ++c) {
+    BriefDescriptor d;
+    if (!pattern.describe(pyramid, corners_[static_cast<std::size_t>(c)].px, &d)) continue;
+    int best = 257, second = 257, best_point = -1;
+    for (int k = 0; k < known; ++k) {
+      const int i = compared[static_cast<std::size_t>(k)];
+      const int distance = d.distance((*looks_)[static_cast<std::size_t>(i)].descriptor);
+      if (distance >= second) continue;
+      // One place may have been made a point several times.
+      const bool same_place =
+          best_point >= 0 && (map.point(i).p_world - map.point(best_point).p_world).squaredNorm() < near * near;
+      if (distance < best) {
+        if (!same_place) second = best;
+        best = distance;
+        best_point = i;
+      } else if (!same_place) {
+        second = distance;
+      }
+    }
+    if (best > options_.max_distance || best > options_.max_ratio * second) continue;
+    // A point belongs to the corner that resembles it most.
+    std::uint16_t& taken = match_of_point[static_cast<std::size_t>(best_point)];
+    if (taken == kFree) {
+      taken = static_cast<std::uint16_t>(n);
+      matches_[static_cast<std::size_t>(n++)] = {static_cast<std::uint16_t>(best_point), static_cast<std::uint16_t>(c),
+                                                 best};
+    } else if (best < matches_[taken].distance) {
+      matches_[taken].corner = static_cast<std::uint16_t>(c);
+      matches_[taken].distance = best;
+    }
+  }
+  return n;
+}
+
+int LandmarkFinder::start_keyframe(const Map& map, int matches) const {
+  // The one that saw most of the matched points.
+  std::array<int, kMaxKeyframes> seen{};
+  for (int i = 0; i < matches; ++i) {
+    const MapPoint& p = map.point(matches_[static_cast<std::size_t>(i)].point);
+    for (int k = 0; k < p.observation_count; ++k) ++seen[p.observations[static_cast<std::size_t>(k)].keyframe];
+  }
+  return static_cast<int>(std::max_element(seen.begin(), seen.end()) - seen.begin());
+}
+
+bool LandmarkFinder::pose_of_three(int a, int b, int c, SE3* T_cam_world) const {
+  SE3 T = *T_cam_world;
+  double error = 1e9;
+  for (int it = 0; it < 8; ++it) {
+    Mat6 H = Mat6::Identity() * 1e-9;
+    Vec6 g = Vec6::Zero();
+    error = 0.0;
+    for (const int i : {a, b, c}) {
+      Vec2 r;
+      Mat26 J;
+      if (!pose_residual(camera_, T, measurements_[static_cast<std::size_t>(i)], &r, &J)) return false;
+      H.noalias() += J.transpose() * J;
+      g.noalias() -= J.transpose() * r;
+      error = std::max(error, r.squaredNorm());
+    }
+    if (error < 1.0) break;
+    const Vec6 dx = Eigen::LDLT<Mat6>(H).solve(g);
+    if (!dx.allFinite()) return false;
+    T = SE3::exp(dx) * T;
+  }
+  if (error > 1.0) return false;
+  *T_cam_world = T;
+  return true;
+}
+
+int LandmarkFinder::agreeing(int matches, const SE3& T_cam_world) const {
+  const double limit = options_.agreement_px * options_.agreement_px;
+  int n = 0;
+  for (int i = 0; i < matches; ++i) {
+    Vec2 r;
+    n += pose_residual(camera_, T_cam_world, measurements_[static_cast<std::size_t>(i)], &r, nullptr) &&
+         r.squaredNorm() < limit;
+  }
+  return n;
+}
+
+LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
+                                    int attempt) {
+  LandmarkReport report;
+  learn(map, options_.described_a_frame);
+  // Of three attempts two are upright, the third is turned by +1, -1, +2, -2, .. steps, until the circle is full.
+  double roll = 0.0;
+  if (attempt % 3 == 2) {
+    const int k = attempt / 3 % std::max(1, static_cast<int>(2.0 * std::numbers::pi / options_.roll_step_rad));
+    roll = (k % 2 == 0 ? 1.0 : -1.0) * (k / 2 + 1) * options_.roll_step_rad;
+  }
+  corner_count_ = report.corners = detector_.detect(
+      pyramid, mask, {}, options_.corners, std::span(corners_.data(), static_cast<std::size_t>(options_.corners)));
+  report.matches = match(map, pyramid, roll, attempt);
+  if (report.matches < options_.min_agreeing) return report;
+  for (int i = 0; i < report.matches; ++i) {
+    const Match& m = matches_[static_cast<std::size_t>(i)];
+    PoseMeasurement& out = measurements_[static_cast<std::size_t>(i)];
+    out = {};
+    out.px = corners_[m.corner].px.cast<double>();
+    out.p_world = map.point(m.point).p_world;
+    out.sigma_px = 2.0;
+  }
+  SE3 start = map.keyframe(start_keyframe(map, report.matches)).T_kf_world;
+  start.R = Eigen::AngleAxisd(roll, Vec3::UnitZ()).toRotationMatrix() * start.R;
+  start.t = Eigen::AngleAxisd(roll, Vec3::UnitZ()).toRotationMatrix() * start.t;
+  std::uint32_t state = 4797;
+  const auto draw = [&] {
+    state = state * 1664525u + 1013904223u;
+    return static_cast<int>((state >> 8) % static_cast<std::uint32_t>(report.matches));
+  };
+  SE3 best;
+  for (int round = 0; round < options_.rounds; ++round) {
+    const int a = draw(), b = draw(), c = draw();
+    if (a == b || b == c || a == c) continue;
+    SE3 T = start;
+    if (!pose_of_three(a, b, c, &T)) continue;
+    const int n = agreeing(report.matches, T);
+    if (n <= report.agreeing) continue;
+    report.agreeing = n;
+    best = T;
+  }
+  if (report.agreeing < options_.min_agreeing) return report;
+  // Of those that agree, the best pose of all.
+  int kept = 0;
+  for (int i = 0; i < report.matches; ++i) {
+    Vec2 r;
+    if (pose_residual(camera_, best, measurements_[static_cast<std::size_t>(i)], &r, nullptr) &&
+        r.norm() < 2.0 * options_.agreement_px)
+      std::swap(measurements_[static_cast<std::size_t>(kept++)], measurements_[static_cast<std::size_t>(i)]);
+  }
+  const PoseOptimizerResult p =
+      optimize_pose(camera_, {}, std::span(measurements_.data(), static_cast<std::size_t>(kept)), &best);
+  report.found = p.ok && p.inliers >= options_.min_agreeing;
+  report.T_cam_world = best;
+  return report;
+}
+
+}  // namespace godwit::vo

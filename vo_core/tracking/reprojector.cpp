@@ -1,0 +1,193 @@
+#include "vo_core/tracking/reprojector.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "vo_core/map/matcher.h"
+
+namespace godwit::vo {
+
+Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& options)
+    : camera_(camera), options_(options) {
+  options_.max_trials = std::min(options_.max_trials, kMaxTrials);
+  // Larger cells where the picture would have more cells than there is room for.
+  do {
+    columns_ = (camera.width() + options_.cell_px - 1) / options_.cell_px;
+    rows_ = (camera.height() + options_.cell_px - 1) / options_.cell_px;
+    if (columns_ * rows_ <= kMaxCells) break;
+    ++options_.cell_px;
+  } while (true);
+  // A fixed shuffle, so that a stop at max_features leaves no corner of the picture out.
+  const int cells = columns_ * rows_;
+  for (int i = 0; i < cells; ++i) cell_order_[i] = static_cast<std::uint16_t>(i);
+  std::uint32_t state = 12345;
+  for (int i = cells - 1; i > 0; --i) {
+    state = state * 1664525u + 1013904223u;
+    std::swap(cell_order_[i], cell_order_[(state >> 8) % static_cast<std::uint32_t>(i + 1)]);
+  }
+}
+
+void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
+                          std::uint32_t mark, ReprojectionResult* result) {
+  const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
+  const Vec3 axis = T_cam_world.R.row(2);
+  // Keyframes that look the same way, nearest first.
+  std::array<std::pair<double, int>, kMaxKeyframes> near;
+  int n = 0;
+  for (int k = 0; k < kMaxKeyframes; ++k) {
+    const Keyframe& kf = map->keyframe(k);
+    if (kf.id == 0) continue;
+    keyframe_position_[k] = kf.position();
+    const double cos_axis = axis.dot(kf.T_kf_world.R.row(2).transpose());
+    if (cos_axis < 0.5) continue;
+    const double d = (keyframe_position_[k] - position).norm() / kf.median_depth + 1.0 * (1.0 - cos_axis);
+    near[n++] = {d, k};
+  }
+  std::sort(near.begin(), near.begin() + n);
+  n = std::min(n, options_.max_keyframes);
+  result->keyframes = n;
+
+  std::fill_n(cell_head_.begin(), columns_ * rows_, kEnd);
+  std::fill_n(shaded_head_.begin(), columns_ * rows_, kEnd);
+  candidate_count_ = 0;
+  for (int i = 0; i < n; ++i) {
+    const Keyframe& kf = map->keyframe(near[i].second);
+    for (int f = 0; f < kf.feature_count && candidate_count_ < kMaxCandidates; ++f) {
+      const PointHandle h = kf.features[f].point;
+      MapPoint* p = map->find(h);
+      if (!p || p->last_mark == mark) continue;
+      p->last_mark = mark;
+      Vec2 px;
+      const Vec3 p_cam = T_cam_world * p->p_world;
+      if (options_.shutter.readout_s > 0.0) {
+        Mat23 J;
+        if (!camera_.project(p_cam, &px, &J)) continue;
+        px += rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
+      } else if (!camera_.project(p_cam, &px)) {
+        continue;
+      }
+      if (!camera_.in_image(px, 8.0)) continue;
+      const bool shaded =
+          mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
+      if (shaded && p->observation_count < options_.proven_observations) continue;
+      const int cell =
+          static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
+      Candidate& c = candidates_[candidate_count_];
+      c.point = h;
+      c.px = px.cast<float>();
+      // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
+      const int reliability = p->found * 8 / (p->found + 2 * p->missed + 8);
+      c.weight = static_cast<std::uint16_t>(p->observation_count * 8 + reliability);
+      std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
+      while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
+      c.next = *link;
+      *link = static_cast<std::uint16_t>(candidate_count_++);
+    }
+  }
+  result->candidates = candidate_count_;
+}
+
+bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
+                            float max_residual, FrameFeature* out) {
+  const MapPoint& p = *map->find(c.point);
+  // The observation whose direction is nearest to the present one.
+  const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
+  const Vec3 direction = (position - p.p_world).normalized();
+  int best = -1;
+  double best_cos = 0.5;
+  for (int i = 0; i < p.observation_count; ++i) {
+    const Vec3 d = keyframe_position_[p.observations[i].keyframe] - p.p_world;
+    const double cos_angle = d.dot(direction) / d.norm();
+    if (cos_angle > best_cos) {
+      best_cos = cos_angle;
+      best = i;
+    }
+  }
+  if (best < 0) return false;
+  const Keyframe& kf = map->keyframe(p.observations[best].keyframe);
+  const KeyframeFeature& feature = kf.features[p.observations[best].feature];
+  const PatchSource source{&kf.pyramid, &feature,
+                           (keyframe_position_[p.observations[best].keyframe] - p.p_world).norm()};
+  const SE3 T_cur_kf = T_cam_world * kf.T_kf_world.inverse();
+  MatchResult m;
+  for (int coarser = 0; coarser <= coarser_; ++coarser) {
+    m = match_direct(camera_, source, T_cur_kf, pyramid, c.px, options_.max_level, coarser);
+    if (m.found && m.residual <= max_residual) break;
+  }
+  if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
+  out->px = m.px;
+  out->gradient = m.gradient;
+  out->level = static_cast<std::int8_t>(m.level);
+  out->type = feature.type;
+  out->point = c.point;
+  out->shaded = false;
+  return true;
+}
+
+ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
+                                    const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark,
+                                    int wanted, FrameFeature* out) {
+  ReprojectionResult result;
+  coarser_ = coarser ? options_.coarser_levels : 0;
+  const int limit = std::min(wanted, options_.max_features);
+  collect(map, mask, T_cam_world, velocity, mark, &result);
+  trial_count_ = 0;
+  run_free(map, pyramid, T_cam_world, limit, &result, out);
+  if (result.matches < options_.scarce_matches) run_shaded(map, pyramid, T_cam_world, limit, &result, out);
+  return result;
+}
+
+void Reprojector::run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                           ReprojectionResult* result, FrameFeature* out) {
+  // One point a cell; where points are few, a second and third round through the cells.
+  for (int round = 0; round < 3; ++round) {
+    for (int i = 0; i < columns_ * rows_; ++i) {
+      std::uint16_t& head = cell_head_[cell_order_[i]];
+      while (head != kEnd) {
+        if (result->matches >= limit || result->trials >= options_.max_trials) return;
+        const Candidate& c = candidates_[head];
+        head = c.next;
+        ++result->trials;
+        Trial& trial = trials_[trial_count_++];
+        trial = {c.point.index, try_match(map, c, pyramid, T_cam_world, 1.0f, out + result->matches)};
+        if (trial.found) {
+          ++result->matches;
+          break;
+        }
+      }
+    }
+  }
+}
+
+void Reprojector::run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                             ReprojectionResult* result, FrameFeature* out) {
+  // Not found means hidden here: such a trial says nothing about the point, nor about the pose.
+  int trials = result->trials;
+  for (int round = 0; round < 2; ++round) {
+    for (int i = 0; i < columns_ * rows_; ++i) {
+      std::uint16_t& head = shaded_head_[cell_order_[i]];
+      while (head != kEnd) {
+        if (result->matches >= limit || trials >= options_.max_trials) return;
+        const Candidate& c = candidates_[head];
+        head = c.next;
+        ++trials;
+        if (try_match(map, c, pyramid, T_cam_world, options_.shaded_residual, out + result->matches)) {
+          out[result->matches++].shaded = true;
+          ++result->shaded;
+          break;
+        }
+      }
+    }
+  }
+}
+
+void Reprojector::keep_score(Map* map) const {
+  for (int i = 0; i < trial_count_; ++i) {
+    MapPoint& p = map->point(trials_[i].point);
+    std::uint16_t& count = trials_[i].found ? p.found : p.missed;
+    if (count < 0xffff) ++count;
+  }
+}
+
+}  // namespace godwit::vo

@@ -1,0 +1,96 @@
+// Projects the map into a frame, cell by cell, and aligns the chosen points (Forster et al. 2014, section IV-B; the
+// paper, 2.5).
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "hal/rt/image.h"
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/geometry/rolling_shutter.h"
+#include "vo_core/map/map.h"
+#include "vo_core/map/map_exchange.h"
+
+namespace godwit::vo {
+
+struct ReprojectorOptions {
+  int cell_px = 28;
+  int max_features = 170;
+  int max_trials = 360;  ///< points; at most 512
+  int max_keyframes = 12;
+  int max_level = 3;
+  /// Levels above a point's own on which it is looked for again: motion blur takes the fine levels first.
+  int coarser_levels = 1;
+  /// Fewer matches outside the mask than this: points inside it are looked for as well, if older frames have proved
+  /// them. A box holds much that does not move, and the picture itself shows whether the point is hidden.
+  int scarce_matches = 100;
+  int proven_observations = 3;
+  float shaded_residual = 0.5f;  ///< greatest residual over contrast of a match inside the mask
+  RollingShutter shutter;
+};
+
+struct ReprojectionResult {
+  int keyframes = 0;   ///< overlapping keyframes whose points were projected
+  int candidates = 0;  ///< points that fall into the picture
+  int trials = 0;      ///< of points outside the mask
+  int matches = 0;
+  int shaded = 0;  ///< of them inside the mask
+};
+
+/// Fixed buffers; run() does not allocate and tries at most max_trials alignments.
+class Reprojector {
+ public:
+  Reprojector(const CameraModel& camera, const ReprojectorOptions& options);
+
+  /// Finds map points in the frame, up to `wanted` and at most max_features. Writes the matches to out
+  /// (kMaxFrameFeatures long). `mark` differs from call to call (marks points already projected). `coarser`: what is
+  /// not found is looked for on coarser_levels, too: motion blur hides what is fine. Costs trials, so only where the
+  /// pose continues that of the last picture: elsewhere chance alikeness on them let false poses pass after blurred
+  /// pictures.
+  ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
+                         const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark, int wanted,
+                         FrameFeature* out);
+
+  /// Writes found and missed of the last run into the points. Only for a run whose pose stood: a black picture or a
+  /// wrong guess says nothing about the points.
+  void keep_score(Map* map) const;
+
+ private:
+  struct Candidate {
+    PointHandle point;
+    Vec2f px;
+    std::uint16_t next;    ///< list of the cell
+    std::uint16_t weight;  ///< better candidates first
+  };
+  static constexpr int kMaxCandidates = 2400;
+  static constexpr int kMaxCells = 4096;
+  static constexpr int kMaxTrials = 512;
+  static constexpr std::uint16_t kEnd = 0xffff;
+
+  void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
+               std::uint32_t mark, ReprojectionResult* result);
+  void run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit, ReprojectionResult* result,
+                FrameFeature* out);
+  void run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
+                  ReprojectionResult* result, FrameFeature* out);
+  bool try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
+                 float max_residual, FrameFeature* out);
+
+  const CameraModel& camera_;
+  ReprojectorOptions options_;
+  int columns_, rows_;
+  int candidate_count_ = 0;
+  int coarser_ = 0;  ///< of the run at hand
+  struct Trial {
+    std::uint16_t point;
+    bool found;
+  };
+  int trial_count_ = 0;
+  std::array<Trial, kMaxTrials> trials_;
+  std::array<Candidate, kMaxCandidates> candidates_;
+  std::array<std::uint16_t, kMaxCells> cell_head_, shaded_head_;  ///< lists of candidates outside and inside the mask
+  std::array<std::uint16_t, kMaxCells> cell_order_;
+  std::array<Vec3, kMaxKeyframes> keyframe_position_;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,185 @@
+#include "vo_core/tracking/sparse_image_align.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+
+#include "vo_core/features/align_warp.h"
+#include "vo_core/image/patch.h"
+
+namespace godwit::vo {
+namespace {
+constexpr int kHalf = 2;  // 4x4 patch: pixels -2..+1 around the point
+/// One sigma of a patch's own gain between two pictures, over what noise and warp leave of a residual [grey levels]:
+/// under lamps on the mains a rolling shutter sees rows at 0.5 to 2 of what they were. Its offset is free.
+constexpr float kGainSigma = 0.5f, kResidualSigma = 4.0f;
+constexpr float kGainPrior = (kResidualSigma / kGainSigma) * (kResidualSigma / kGainSigma);
+/// A patch weighs no less than this for want of contrast, and noise of a grey level makes no contrast [sum over it].
+constexpr float kLeastShare = 0.01f, kNoiseVariance = 16.0f;
+}  // namespace
+
+void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
+  patch_count_ = static_cast<int>(std::min<std::size_t>(points.size(), patches_.size()));
+  const float scale = 1.0f / static_cast<float>(1 << level);
+  for (int i = 0; i < patch_count_; ++i) {
+    Patch& patch = patches_[i];
+    patch.visible = false;
+    const Vec2f px = to_level(points[i].px, level);
+    if (px.x() < kHalf + 1 || px.y() < kHalf + 1 || px.x() >= static_cast<float>(ref.width - kHalf - 3) ||
+        px.y() >= static_cast<float>(ref.height - kHalf - 3))
+      continue;
+    Vec2 unused;
+    Mat23 Jp;
+    if (!camera_.project(points[i].p_ref, &unused, &Jp)) continue;
+    patch.visible = true;
+    patch.p_ref = points[i].p_ref;
+    patch.row = static_cast<double>(points[i].px.y());
+    patch.J = align_jacobian(Jp, points[i].p_ref, row_time(patch.row)).cast<float>() * scale;
+
+    alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
+    sample_grid(ref, px.x() - kHalf - 1, px.y() - kHalf - 1, 2, 6, window);
+    float mean = 0;
+    for (int y = 0; y < 4; ++y)
+      for (int x = 0; x < 4; ++x) mean += window[(y + 1) * 8 + x + 1] / 16.0f;
+    float gxx = 0, gxy = 0, gyy = 0, vv = 0;
+    Vec2f g1 = Vec2f::Zero(), gv = Vec2f::Zero();
+    for (int y = 0; y < 4; ++y) {
+      for (int x = 0; x < 4; ++x) {
+        const float* w = window + (y + 1) * 8 + x + 1;
+        const float gx = 0.5f * (w[1] - w[-1]), gy = 0.5f * (w[8] - w[-8]);
+        const float v = w[0] - mean;
+        const int k = y * 4 + x;
+        patch.value[k] = v;
+        patch.gx[k] = gx;
+        patch.gy[k] = gy;
+        gxx += gx * gx;
+        gxy += gx * gy;
+        gyy += gy * gy;
+        g1 += Vec2f(gx, gy);
+        gv += Vec2f(gx * v, gy * v);
+        vv += v * v;
+      }
+    }
+    // The patch's own gain and offset are eliminated (Schur complement); its values have no mean, so that they do not
+    // mix.
+    patch.mean = mean;
+    patch.vv = vv;
+    patch.per_value = 1.0f / (vv + kGainPrior);
+    patch.g1 = g1;
+    patch.gv = gv;
+    Eigen::Matrix2f G;
+    G << gxx, gxy, gxy, gyy;
+    G -= gv * gv.transpose() * patch.per_value + g1 * g1.transpose() / 16.0f;
+    patch.H.noalias() = patch.J.transpose() * (G * patch.J).eval();
+  }
+}
+
+int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,
+                                 float* cost) {
+  const hn::FixedTag<float, 4> df;
+  H->setZero();
+  b->setZero();
+  float total = 0.0f, weight_sum = 0.0f;
+  int used = 0;
+  const Vec6 motion = shutter_.readout > 0.0 ? T_cur_ref.log() : Vec6::Zero();
+  for (int i = 0; i < patch_count_; ++i) {
+    Patch& patch = patches_[i];
+    if (!patch.visible) continue;
+    Vec2 px0;
+    if (!camera_.project(align_warp(T_cur_ref, motion, patch.p_ref, row_time(patch.row)), &px0)) continue;
+    patch.row = std::clamp(px0.y(), 0.0, static_cast<double>(camera_.height()));
+    const Vec2f px = to_level(px0.cast<float>(), level);
+    if (!(px.x() >= kHalf && px.y() >= kHalf && px.x() < static_cast<float>(cur.width - kHalf - 1) &&
+          px.y() < static_cast<float>(cur.height - kHalf - 1)))
+      continue;
+    alignas(16) float now[16];
+    sample_grid(cur, px.x() - kHalf, px.y() - kHalf, 1, 4, now);
+    const auto mean = hn::Set(df, patch.mean);
+    auto srr = hn::Zero(df), sgx = srr, sgy = srr, s1 = srr, sv = srr;
+    for (int k = 0; k < 16; k += 4) {
+      const auto value = hn::Load(df, patch.value.data() + k);
+      const auto r = hn::Sub(hn::Sub(hn::Load(df, now + k), mean), value);
+      srr = hn::MulAdd(r, r, srr);
+      sgx = hn::MulAdd(r, hn::Load(df, patch.gx.data() + k), sgx);
+      sgy = hn::MulAdd(r, hn::Load(df, patch.gy.data() + k), sgy);
+      s1 = hn::Add(r, s1);
+      sv = hn::MulAdd(r, value, sv);
+    }
+    const float sum_1 = hn::GetLane(hn::SumOfLanes(df, s1)), sum_v = hn::GetLane(hn::SumOfLanes(df, sv));
+    const float offset = sum_1 / 16.0f, more_gain = sum_v * patch.per_value;
+    const float sum_rr = hn::GetLane(hn::SumOfLanes(df, srr));
+    const float squares = sum_rr - sum_1 * offset - sum_v * more_gain;
+    const float mean_square = std::max(squares, 0.0f) / 16.0f;
+    const float rms = std::sqrt(mean_square);
+    const float w = rms <= options_.huber_px ? 1.0f : options_.huber_px / rms;
+    total += w * mean_square;
+    weight_sum += w;
+    ++used;
+    const Vec2f rg = Vec2f(hn::GetLane(hn::SumOfLanes(df, sgx)), hn::GetLane(hn::SumOfLanes(df, sgy))) -
+                     patch.gv * more_gain - patch.g1 * offset;
+    // The picture's gradients are the reference's times the gain: of the light, which the means tell wherever the patch
+    // lies. Less contrast than that light would leave is glare or a white that took all: there is little to read there,
+    // and unweighted it would hold the step back.
+    const float gain = std::clamp((patch.mean + offset) / std::max(patch.mean, 1.0f), 1.0f / kMaxGain, kMaxGain);
+    const float variance = patch.vv + 2.0f * sum_v + sum_rr - sum_1 * offset;
+    const float information = w * std::clamp(variance / (gain * gain * patch.vv + kNoiseVariance), kLeastShare, 1.0f);
+    *H += information * patch.H;
+    b->noalias() += information / gain * (patch.J.transpose() * rg);
+  }
+  *cost = weight_sum > 0 ? total / weight_sum : 0.0f;
+  return used;
+}
+
+SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::PyramidView& cur,
+                                        std::span<const AlignPoint> points, const SE3& T_init,
+                                        const RotationPrior& prior, const AlignShutter& shutter) {
+  SparseAlignResult result;
+  shutter_ = shutter;
+  SE3 T = T_init;
+  const int top = std::min(options_.max_level, ref.levels - 1);
+  for (int level = top; level >= options_.min_level; --level) {
+    prepare(ref.level[level], level, points);
+    SE3 T_old = T;
+    float cost_old = 0.0f;
+    int used_old = 0;
+    for (int it = 0; it < options_.max_iterations; ++it) {
+      Mat6f H;
+      Vec6f b;
+      float cost;
+      const int used = accumulate(cur.level[level], level, T, &H, &b, &cost);
+      // The prior's part of the cost, in the same unit: grey levels squared a pixel.
+      Eigen::Vector3f e = Eigen::Vector3f::Zero();
+      float prior_weight = 0.0f;
+      if (prior.sigma_rad > 0.0) {
+        e = so3_log(T.R.transpose() * prior.R_cur_ref).cast<float>();
+        prior_weight = static_cast<float>(options_.huber_px * options_.huber_px / (prior.sigma_rad * prior.sigma_rad));
+        cost += prior_weight * e.squaredNorm() / (16.0f * static_cast<float>(std::max(used, 1)));
+      }
+      // A step that made the agreement worse is taken back; what is left to gain here is below the noise.
+      if (it > 0 && (cost > cost_old || used < used_old / 2)) {
+        T = T_old;
+        break;
+      }
+      result.patches = used;
+      result.rms = std::sqrt(cost);
+      if (used < 6) break;
+      if (prior_weight > 0.0f) {
+        H.block<3, 3>(3, 3) += prior_weight * Eigen::Matrix3f::Identity();
+        b.segment<3>(3) -= prior_weight * e;
+      }
+      const Vec6f x = H.ldlt().solve(b);
+      if (!x.allFinite()) break;
+      T_old = T;
+      cost_old = cost;
+      used_old = used;
+      T = T * SE3::exp(-x.cast<double>());
+      // Converged when the step moves no pixel of this level by a noticeable part.
+      const float step_px = x.cwiseAbs().maxCoeff() * static_cast<float>(camera_.fx()) / static_cast<float>(1 << level);
+      if (step_px < 0.03f) break;
+    }
+  }
+  result.T_cur_ref = T;
+  result.T_cur_ref.normalize();
+  return result;
+}
+
+}  // namespace godwit::vo

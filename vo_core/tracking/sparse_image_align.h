@@ -1,0 +1,84 @@
+// Sparse model-based image alignment (Forster et al. 2014, section IV-A; the paper, section 2.5): the motion between
+// two frames that makes the small patches around known points agree, inverse compositional, coarse to fine. Each patch
+// has a gain and an offset of its own.
+#pragma once
+
+#include <array>
+#include <span>
+
+#include "hal/rt/image.h"
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/geometry/geometry.h"
+#include "vo_core/map/map_exchange.h"
+
+namespace godwit::vo {
+
+struct SparseAlignOptions {
+  int max_level = 4;
+  int min_level = 2;
+  int max_iterations = 8;
+  float huber_px = 8.0f;  ///< patch residual [grey levels, rms] at which robust weights set in
+};
+
+/// A point with its place in the reference frame.
+struct AlignPoint {
+  Vec2f px;    ///< reference frame, level-0 px
+  Vec3 p_ref;  ///< reference camera frame, map units
+};
+
+/// What is known of the rotation beforehand, from a gyroscope say.
+struct RotationPrior {
+  Mat3 R_cur_ref = Mat3::Identity();
+  double sigma_rad = 0.0;  ///< 0: no prior
+};
+
+/// How a rolling shutter reads the two frames, which follow each other by `interval`: their motion goes on at the same
+/// rate while the rows are read.
+struct AlignShutter {
+  double readout = 0.0;    ///< first to last row, over the time between the frames; 0: global shutter, or unknown
+  double reference = 0.5;  ///< row, as a share of the height, that is read at the capture time
+};
+
+struct SparseAlignResult {
+  SE3 T_cur_ref;
+  int patches = 0;   ///< patches that took part at the finest level
+  float rms = 0.0f;  ///< robustly weighted residual there [grey levels]
+};
+
+/// Works in its own fixed buffers; run() does not allocate.
+class SparseImageAlign {
+ public:
+  SparseImageAlign(const CameraModel& camera, const SparseAlignOptions& options) : camera_(camera), options_(options) {}
+
+  /// Aligns cur to ref starting from T_init. At most kMaxFrameFeatures points are used.
+  SparseAlignResult run(const rt::PyramidView& ref, const rt::PyramidView& cur, std::span<const AlignPoint> points,
+                        const SE3& T_init, const RotationPrior& prior, const AlignShutter& shutter = {});
+
+ private:
+  using Vec6f = Eigen::Matrix<float, 6, 1>;
+  using Mat6f = Eigen::Matrix<float, 6, 6>;
+
+  struct Patch {
+    alignas(16) std::array<float, 16> value, gx, gy;  // grey levels less `mean`; gradient in grey levels a level pixel
+    float mean, vv, per_value;                        // squares of the values; 1 over them and what holds the gain
+    Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
+    Eigen::Matrix<float, 2, 6> J;                     // d level pixel / d twist of the reference point
+    Mat6f H;
+    Vec3 p_ref;
+    double row;  ///< where it was last seen [level-0 px]
+    bool visible;
+  };
+
+  /// Time at which a row is read, over the time between the frames, 0 at the capture time.
+  double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
+  void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
+  int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b, float* cost);
+
+  const CameraModel& camera_;
+  SparseAlignOptions options_;
+  AlignShutter shutter_;
+  int patch_count_ = 0;
+  std::array<Patch, kMaxFrameFeatures> patches_;
+};
+
+}  // namespace godwit::vo

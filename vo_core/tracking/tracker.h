@@ -1,0 +1,299 @@
+// The tracker: a frame in, a pose out. Owns the map; never waits for the mapper.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "hal/rt/image.h"
+#include "hal/rt/time.h"
+#include "vo_core/geometry/camera_model.h"
+#include "vo_core/image/coarse_mask.h"
+#include "vo_core/map/keyframe_selector.h"
+#include "vo_core/map/map_channel.h"
+#include "vo_core/map/pose_certainty.h"
+#include "vo_core/map/slot_releases.h"
+#include "vo_core/tracking/frame_noise.h"
+#include "vo_core/tracking/health.h"
+#include "vo_core/tracking/initializer.h"
+#include "vo_core/tracking/landmark_finder.h"
+#include "vo_core/tracking/motion_gate.h"
+#include "vo_core/tracking/pose_optimizer.h"
+#include "vo_core/tracking/relocaliser.h"
+#include "vo_core/tracking/reprojector.h"
+#include "vo_core/tracking/sparse_image_align.h"
+
+namespace godwit::vo {
+
+/// Time of each stage of one tracking call [ns]; zero where the stage did not run or no clock was given.
+struct StageTimes {
+  rt::TimeNs pyramid = 0, apply = 0, initialise = 0, align = 0, reproject = 0, pose = 0, keyframe = 0;
+};
+
+/// Where a camera that has lost the map should be in it.
+struct PosePrior {
+  bool known = false;
+  std::uint32_t map_id = 0;
+  SE3 T_cam_map;
+  double place_sigma = 0;     ///< [map units], root of the sum over the axes
+  double turn_sigma_rad = 0;  ///< the same
+};
+
+/// What a frame finds of the mapper, which works at its own pace: all of a flight by vision that its pictures do not
+/// say. The same pictures, masks and orders give the same poses to the bit, however fast the mapper is.
+struct FrameOrder {
+  int room = -1;    ///< messages that the mapper had room for when the frame began; -1: as it is
+  int deltas = -1;  ///< deltas of the mapper that were taken before the frame; -1: as there are
+};
+
+struct FrameInput {
+  rt::ImageView grey;  ///< level 0, rows aligned to rt::kRowAlignment
+  std::uint8_t* pyramid_storage = nullptr;
+  std::size_t pyramid_bytes = 0;
+  rt::MaskPyramidView mask;  ///< dynamic pixels, or levels == 0
+  int slot = -1;             ///< with two references: the tracker's and the mapper's
+  std::uint32_t sequence = 0;
+  rt::TimeNs t_capture_ns = 0;
+  RotationPrior rotation;  ///< rotation since the last frame, from an IMU
+  PosePrior expected;      ///< by dead reckoning: where a search for the map begins
+  /// Of ReprojectorOptions::max_features, 0 to 1: fewer where time is short. Twice min_measurements are always looked
+  /// for.
+  double feature_share = 1.0;
+};
+
+/// Some of the map's points that a picture shows, evenly taken from its features.
+struct SeenPoints {
+  static constexpr int kMost = 32;
+  int count = 0;
+  std::array<Eigen::Vector3f, kMost> at;  ///< [map units]
+};
+
+struct FrameResult {
+  State state = State::kInitialising;
+  bool repeated = false;     ///< the picture is the one before, bit for bit: nothing was measured
+  bool tracked = false;      ///< at least min_measurements image measurements updated the pose
+  bool is_keyframe = false;  ///< also of a frame between movers that does not count as tracked
+  KeyframeReason keyframe_reason = KeyframeReason::kNone;  ///< why it should become one, even if it could not
+  std::uint32_t map_id = 0;                                ///< counts from 1; 0 when there is no map
+  int measurements = 0;                                    ///< inliers of the pose optimisation
+  int matches = 0;                                         ///< aligned points
+  int shaded = 0;                                          ///< of them inside the mask
+  int trials = 0;                                          ///< alignments tried
+  int candidates = 0;                                      ///< map points projected into the picture
+  SE3 T_world_cam;                                         ///< valid when tracked
+  Mat6 covariance = Mat6::Zero();      ///< of the left twist (v, w) of T_cam_world, map units and rad
+  Mat6 own_covariance = Mat6::Zero();  ///< the same from this frame's noise alone, the map taken for true
+  RelativePose relative;               ///< to a keyframe of the map, with its covariance
+  double median_depth = 0.0;
+  SeenPoints points;              ///< of a frame with a pose
+  double rms_px = 0.0;            ///< of the inliers
+  double misfit = 0.0;            ///< their chi-square over its limit (TrackerOptions::noise_allowance left out)
+  bool map_moved = false;         ///< a delta with moved poses was applied before this frame
+  Vec3 moved_by = Vec3::Zero();   ///< by it the last frame's camera moved in the world [map units]
+  Vec3 turned_by = Vec3::Zero();  ///< and turned: rotation vector along world axes [rad]
+  int reason_value = 0;           ///< measured figure behind `reason`
+  int reason_limit = 0;           ///< and its limit
+  const char* reason = "";        ///< why the state is what it is, static text
+  FrameOrder order;               ///< as it was found
+  InitReport init;
+  StageTimes times;
+};
+
+struct TrackerOptions {
+  InitializerOptions initializer;
+  SparseAlignOptions align;
+  ReprojectorOptions reprojector;
+  PoseOptimizerOptions pose;
+  KeyframeSelectorOptions keyframe;
+  RollingShutter shutter;
+  RelocaliserOptions relocaliser;
+  LandmarkFinderOptions landmarks;
+  HealthOptions health;
+  MotionGateOptions gate;
+  PoseCertaintyOptions certainty;
+  /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
+  /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
+  double min_found_share = 0.10;
+  /// Share of the matches that must agree with the pose. Offsets by chance, anywhere within the 4 px that an alignment
+  /// may move, agree with the best pose for them in a quarter of the cases (pose_optimizer_test).
+  double min_inlier_share = 0.35;
+  /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance
+  /// is so many times the stated one: motion blur and what else the noise model leaves out.
+  double noise_allowance = 1.5;
+  double shaded_sigma = 1.5;  ///< noise of a measurement inside the mask, of that of one outside
+  /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose must be
+  /// promising, and a following frame tracked from it convincing, before it counts.
+  rt::TimeNs direct_gap_ns = 150 * rt::kNsPerMs;
+  rt::TimeNs last_frame_gap_ns = rt::kNsPerSecond;  ///< older last frames are not aligned with any more
+  struct Gate {
+    int measurements;
+    double inlier_share;  ///< of the matches
+    double found_share;   ///< of the alignments tried
+  };
+  Gate promising{30, 0.5, 0.15};
+  Gate convincing{40, 0.6, 0.30};
+  /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
+  /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
+  /// from, and to map with, for a while.
+  double crowded = kCrowdedShare;
+  Gate few_but_sure{18, 0.8, 0.5};
+  /// With fewer measurements in the last frame, points that motion blur hides are looked for on coarser levels, too. On
+  /// euroc_mh01 the fastest turns leave 36 measurements without that and 54 with it.
+  int plenty = 120;
+  int weak_frames = 30;  ///< so many until a pose convinces; after them only promising and convincing ones are believed
+  int weak_beside = 12;  ///< of the measurements outside the mask
+  /// A pose that is found further than so many sigmas from where the camera should be is another place that looks
+  /// alike. Less than so much is never too far: a share of the scene's depth, and an angle, as vision's own error may
+  /// be.
+  double most_expected_sigmas = 4;
+  double expected_depth_share = 0.05, expected_turn_rad = 0.05;
+  int rough_measurements = 15;  ///< of the first round against a keyframe; a second one starts from its pose
+  int unproved_frames = 5;      ///< so many frames may pass until one convinces
+  int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
+  rt::TimeNs (*clock)() = nullptr;  ///< for stage times only; nothing depends on it
+};
+
+class Tracker {
+ public:
+  Tracker(const CameraModel& camera, const TrackerOptions& options, MapChannel* channel);
+  ~Tracker();
+  Tracker(const Tracker&) = delete;
+  Tracker& operator=(const Tracker&) = delete;
+
+  /// The next frame, with the masks that come before it, finds the mapper like this: a flight is flown again. The
+  /// mapper is at least as far as it was then.
+  void expect(const FrameOrder& order) { expected_ = order; }
+
+  /// Estimates the pose of one frame. No allocation, bounded, no wait. Frames come in the order of their time.
+  FrameResult track(const FrameInput& frame);
+
+  /// The mask of an earlier frame, come late: if the frame is a keyframe, the map loses what that keyframe took from
+  /// inside the mask (docs/architecture.md). Between two frames; no allocation, bounded. False: there is no room for
+  /// the message now, try again after the next frame.
+  bool late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask);
+
+  /// References to frame slots that the tracker no longer needs. False when there are none.
+  bool take_release(SlotRelease* release);
+
+  const Map& map() const { return *map_; }
+  /// The measurements behind the last tracked frame's pose (inliers first matched in map order).
+  std::span<const FrameFeature> features() const;
+
+ private:
+  struct Frame {
+    int slot = -1;
+    bool holds_mapper_reference = false;
+    rt::PyramidView pyramid;
+    rt::MaskPyramidView mask;  ///< valid only while the frame is being tracked
+    bool crowded = false;      ///< much of it is masked
+    SE3 T_cam_world;
+    Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
+    PosePrior expected;
+    std::uint32_t sequence = 0;
+    std::uint32_t counter = 0;  ///< the tracker's own count
+    rt::TimeNs t_capture_ns = 0;
+  };
+
+  void begin_map();
+  void apply_deltas(FrameResult* result);
+  void apply(const MapDelta& d);
+  /// True: this frame began the map.
+  bool initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
+  FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
+  bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
+  bool align_with_keyframe(const RelocalisationGuess& guess, Frame* frame);
+  bool look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result);
+  bool look_for_likeness(int attempt, Frame* frame, FrameResult* result);
+  bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
+  // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
+  bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
+  // These say in refusal_ what they refuse for.
+  bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
+  bool enough_found(double share, const FrameResult& r);
+  bool enough_agree(double share, const FrameResult& r);
+  bool as_noisy_as_stated(const FrameResult& r);
+  bool few_but_sure(const Frame& frame, const FrameResult& r);
+  bool as_expected(const Frame& frame);
+  int least_measurements(const Frame& frame) const {
+    return frame.crowded ? options_.few_but_sure.measurements : options_.health.min_measurements;
+  }
+  bool expects(const FrameInput& in) const { return in.expected.known && in.expected.map_id == map_id_; }
+  bool find_in_map(const FrameInput& in, Frame* frame, FrameResult* result);
+  void adopt_features();
+  void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
+  bool same_picture(const rt::ImageView& grey);
+  void consider_keyframe(Frame* frame, FrameResult* result);
+  bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
+  int insert_keyframe(const Frame& frame, std::uint32_t id);
+  void free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const;
+  void take_points(SeenPoints* points) const;
+  double scene_depth(const SE3& T_cam_world, double* min_depth);
+  void retire(Frame* frame);
+  /// Messages that may be sent with this frame. Looked at once: what the mapper takes meanwhile counts for the next.
+  int room() {
+    if (room_ < 0) {
+      order_.room = expected_.room >= 0 ? expected_.room : static_cast<int>(channel_->messages.free_items());
+      room_ = order_.room;
+    }
+    return room_;
+  }
+  void commit_message() {
+    channel_->messages.commit();
+    --room_;
+  }
+  rt::TimeNs now() const { return options_.clock ? options_.clock() : 0; }
+
+  const CameraModel camera_;
+  TrackerOptions options_;
+  MapChannel* channel_;
+  std::unique_ptr<Map> map_;
+  Initializer initializer_;
+  std::unique_ptr<SparseImageAlign> align_;
+  std::unique_ptr<Reprojector> reprojector_;
+  std::unique_ptr<Relocaliser> relocaliser_;
+  std::unique_ptr<LandmarkFinder> landmarks_;
+  const MotionGate gate_;
+  FrameNoise noise_;
+  double weight_scale_ = 1.0;  ///< of the last measure()
+  PoseCertainty certainty_;
+  Health health_;
+
+  std::uint32_t epoch_ = 0;
+  std::uint32_t map_id_ = 0;
+  std::uint32_t frame_counter_ = 0;
+  std::uint32_t next_keyframe_id_ = 1;
+  bool reset_pending_ = true;
+
+  FrameOrder expected_, order_;  ///< of the next frame, and as this one found it
+  int room_ = -1;                ///< what is left of it; -1: not looked at since the last frame
+
+  Frame first_;                 ///< first view of the initialisation
+  CoarseMask first_mask_;       ///< its dynamic pixels, kept until it is sent
+  Frame last_;                  ///< last frame with a pose
+  bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
+  int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
+  Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
+  int weak_ = 0;                ///< frames on end whose pose had few measurements
+  int relocalise_attempt_ = 0;
+  std::uint32_t reprojection_mark_ = 0;
+  std::uint64_t picture_hash_ = 0;
+  bool have_picture_hash_ = false;
+  std::array<FrameFeature, kMaxFrameFeatures> features_, features_scratch_;
+  int feature_count_ = 0;
+  int map_feature_count_ = 0;  ///< the first so many of them lie outside the mask: what a keyframe may keep
+  int match_count_ = 0;        ///< of the last measure(), in features_scratch_ and measurements_
+  int rejected_count_ = 0;     ///< behind them: what the gate took out
+  std::array<PoseMeasurement, kMaxFrameFeatures> measurements_;
+  std::array<AlignPoint, kMaxFrameFeatures> align_points_;
+
+  std::uint32_t last_keyframe_id_ = 0;
+  int frames_since_keyframe_ = 0;
+  int last_keyframe_features_ = 0;
+  CoarseMask keyframe_mask_;  ///< dynamic pixels of the last keyframe
+  double median_depth_ = 1.0, min_depth_ = 0.3;
+
+  SlotReleases releases_;
+};
+
+}  // namespace godwit::vo

@@ -1,0 +1,173 @@
+// The tracker without a map: from the first view to the first two keyframes.
+#include <algorithm>
+
+#include "vo_core/features/match_noise.h"
+#include "vo_core/map/matcher.h"
+#include "vo_core/tracking/tracker.h"
+
+namespace godwit::vo {
+namespace {
+constexpr float kMaxTrackErrorPx = 2.0f;
+}  // namespace
+
+bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* result) {
+  if (reset_pending_) {
+    MapperMessage* m = room() > 0 ? channel_->messages.claim() : nullptr;
+    if (!m) {
+      result->reason = "mapper is still busy with the last map";
+      Frame f = frame;
+      retire(&f);
+      return false;
+    }
+    m->kind = MessageKind::kReset;
+    m->epoch = epoch_;
+    m->sequence = frame_counter_;
+    m->slot = -1;
+    commit_message();
+    reset_pending_ = false;
+  }
+  result->init = initializer_.add_frame(frame.pyramid, in.mask);
+  Frame current = frame;
+  switch (result->init.status) {
+    case InitStatus::kFirstFrame:
+      result->reason = "first view";
+      break;
+    case InitStatus::kTooFewFeatures:
+      result->reason = "too few features in the first view";
+      result->reason_value = result->init.tracks;
+      result->reason_limit = options_.initializer.min_tracks;
+      break;
+    case InitStatus::kTracksLost:
+      result->reason = "too few tracks left, new first view";
+      result->reason_value = result->init.tracks;
+      result->reason_limit = options_.initializer.min_tracks;
+      break;
+    case InitStatus::kNoMotion:
+      result->reason = "disparity too small [px]";
+      result->reason_value = static_cast<int>(result->init.median_disparity_px);
+      result->reason_limit = static_cast<int>(options_.initializer.min_disparity_px);
+      break;
+    case InitStatus::kNoParallax:
+      result->reason = "parallax too small [0.01 deg]";
+      result->reason_value = static_cast<int>(100.0 * result->init.median_parallax_deg);
+      result->reason_limit = static_cast<int>(100.0 * options_.initializer.min_parallax_deg);
+      break;
+    case InitStatus::kNoModel:
+      result->reason = "neither homography nor fundamental matrix fits";
+      result->reason_value = result->init.inliers;
+      result->reason_limit = options_.initializer.min_points;
+      break;
+    case InitStatus::kAmbiguous:
+      result->reason = "two motions explain the tracks alike [0.01]";
+      result->reason_value = static_cast<int>(100.0 * result->init.ambiguity);
+      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_ambiguity);
+      break;
+    case InitStatus::kDone:
+      break;
+  }
+  if (result->init.status == InitStatus::kFirstFrame || result->init.status == InitStatus::kTracksLost ||
+      result->init.status == InitStatus::kTooFewFeatures) {
+    retire(&first_);
+    first_ = current;
+    first_mask_.assign(in.mask);
+    first_.mask = {};
+    return false;
+  }
+  if (result->init.status != InitStatus::kDone) {
+    retire(&current);
+    return false;
+  }
+
+  // Both keyframes must find room, or neither is sent.
+  if (room() < 2) {
+    retire(&current);
+    begin_map();
+    result->reason = "mapper is still busy with the last map";
+    return false;
+  }
+  // Two keyframes and their common points. World frame: the first view's camera.
+  const std::span<const InitPoint> points = initializer_.points();
+  const int n = static_cast<int>(std::min<std::size_t>(points.size(), kMaxFrameFeatures - 20));
+  first_.T_cam_world = SE3();
+  current.T_cam_world = initializer_.T_cur_ref();
+  // How fast the camera was matters to a rolling shutter only, and by that the frames' interval is known.
+  const double interval_s =
+      options_.initializer.readout > 0.0 ? options_.shutter.readout_s / options_.initializer.readout : 0.0;
+  if (interval_s > 0.0) {
+    first_.velocity = initializer_.velocity_ref() / interval_s;
+    current.velocity = initializer_.velocity_cur() / interval_s;
+  }
+  median_depth_ = 1.0;
+  feature_count_ = map_feature_count_ = n;
+  for (int i = 0; i < n; ++i) {
+    // Evenly out of all, whatever their order.
+    const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
+    FrameFeature& f = features_[i];
+    f = {};
+    f.px = p.px_ref;
+    f.px_global = p.px_ref_global;
+    f.level = p.level;
+    f.point = {static_cast<std::uint16_t>(i), map_->point(i).generation};
+    // As the message has it: the two maps are equal to the bit.
+    map_->activate_point(f.point, p.p_ref.cast<float>().cast<double>());
+  }
+  median_depth_ = scene_depth(first_.T_cam_world, &min_depth_);
+  const int place1 = insert_keyframe(first_, 1);
+  send(MessageKind::kKeyframe, &first_, 1, place1);
+  for (int i = 0; i < n; ++i) {
+    const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
+    FrameFeature& f = features_[i];
+    f.px = p.px_cur;
+    f.px_global = p.px_cur_global;
+    // The track knew nothing of how the patch turns and stretches between the two views; the map does.
+    const PatchSource source{&first_.pyramid, &map_->keyframe(place1).features[static_cast<std::size_t>(i)],
+                             p.p_ref.norm()};
+    const MatchResult m =
+        match_direct(camera_, source, current.T_cam_world, current.pyramid, p.px_cur, options_.reprojector.max_level);
+    if (!m.found || (m.px - p.px_cur).norm() > kMaxTrackErrorPx) continue;
+    f.px = m.px;
+    f.px_global += m.px - p.px_cur;
+    f.level = static_cast<std::int8_t>(m.level);
+  }
+  median_depth_ = scene_depth(current.T_cam_world, &min_depth_);
+  const int place2 = insert_keyframe(current, 2);
+  send(MessageKind::kKeyframe, &current, 2, place2);
+  next_keyframe_id_ = 3;
+  last_keyframe_id_ = 2;
+  frames_since_keyframe_ = 0;
+  last_keyframe_features_ = n;
+  keyframe_mask_.assign(current.mask);
+  retire(&first_);
+  last_ = current;
+  last_.mask = {};
+  have_velocity_ = interval_s > 0.0;
+  ++map_id_;
+  result->tracked = n >= options_.health.min_measurements;
+  result->is_keyframe = true;
+  result->measurements = result->matches = n;
+  result->T_world_cam = current.T_cam_world.inverse();
+  // The pose stands as the initialisation gave it; its covariance is that of its measurements against the first points.
+  for (int i = 0; i < n; ++i) {
+    PoseMeasurement& m = measurements_[i];
+    m = {};
+    m.px = features_[i].px_global.cast<double>();
+    m.p_world = map_->point(features_[i].point.index).p_world;
+    m.sigma_px = match_sigma_px(features_[i].level);
+  }
+  SE3 refined = current.T_cam_world;
+  const PoseOptimizerResult fit = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), n), &refined);
+  result->own_covariance = fit.ok ? fit.covariance : Mat6::Identity();
+  result->relative =
+      certainty_.relative(*map_, current.T_cam_world, current.t_capture_ns, result->own_covariance, Mat6::Zero());
+  result->covariance = certainty_.in_map(*map_, result->relative);
+  certainty_.keyframe(place2, result->covariance);
+  result->rms_px = fit.rms_px;
+  result->median_depth = median_depth_;
+  result->reason =
+      result->init.model == InitModel::kHomography ? "first map, homography" : "first map, fundamental matrix";
+  result->reason_value = n;
+  result->reason_limit = options_.health.min_measurements;
+  return true;
+}
+
+}  // namespace godwit::vo

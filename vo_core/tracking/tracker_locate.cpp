@@ -1,0 +1,255 @@
+// The tracker with a map: the pose of a frame, from the last frame, from a keyframe or from what points look like, and
+// whether it may be believed.
+#include <algorithm>
+
+#include "vo_core/features/match_noise.h"
+#include "vo_core/tracking/tracker.h"
+
+namespace godwit::vo {
+
+bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  int n = 0;
+  for (int i = 0; i < feature_count_; ++i) {
+    const MapPoint* p = map_->find(features_[i].point);
+    if (!p) continue;
+    align_points_[n++] = {features_[i].px, last_.T_cam_world * p->p_world};
+  }
+  SE3 T_cur_last = T_cur_last_guess;
+  // What an IMU has measured since the picture before belongs to the last frame only if that is the picture before.
+  const RotationPrior prior = last_.counter + 1 == frame_counter_ ? in.rotation : RotationPrior{};
+  const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
+  const AlignShutter shutter{dt > 0.0 ? options_.shutter.readout_s / dt : 0.0, options_.shutter.reference};
+  if (n >= 15)
+    T_cur_last =
+        align_->run(last_.pyramid, frame->pyramid, std::span(align_points_.data(), n), T_cur_last_guess, prior, shutter)
+            .T_cur_ref;
+  frame->T_cam_world = T_cur_last * last_.T_cam_world;
+  // Velocity over the interval since the last frame: what the readout of this one sees.
+  frame->velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
+  result->times.align += now() - t0;
+  return n >= 15;
+}
+
+bool Tracker::align_with_keyframe(const RelocalisationGuess& guess, Frame* frame) {
+  int n = 0;
+  if (guess.place >= 0) {
+    const Keyframe& kf = map_->keyframe(guess.place);
+    for (int i = 0; i < kf.feature_count && n < kMaxFrameFeatures; ++i) {
+      const MapPoint* p = map_->find(kf.features[i].point);
+      if (p) align_points_[n++] = {kf.features[i].px, kf.T_kf_world * p->p_world};
+    }
+    if (n >= 15)
+      frame->T_cam_world =
+          align_->run(kf.pyramid, frame->pyramid, std::span(align_points_.data(), n), guess.T_cur_kf, RotationPrior{})
+              .T_cur_ref *
+          kf.T_kf_world;
+  }
+  frame->velocity.setZero();
+  if (n < 15) refusal_ = {"no keyframe to begin with, points in it", n, 15};
+  return n >= 15;
+}
+
+bool Tracker::look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const RelocalisationGuess guess = relocaliser_->expect(*map_, expected.T_cam_map);
+  const bool found = align_with_keyframe(guess, frame);
+  result->times.align += now() - t0;
+  return found;
+}
+
+bool Tracker::look_for_likeness(int attempt, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const bool found = align_with_keyframe(relocaliser_->guess(*map_, frame->pyramid, frame->mask, attempt), frame);
+  result->times.align += now() - t0;
+  return found;
+}
+
+bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result) {
+  const rt::TimeNs t0 = now();
+  const LandmarkReport found = landmarks_->find(*map_, frame->pyramid, frame->mask, attempt);
+  if (found.found) frame->T_cam_world = found.T_cam_world;
+  if (!found.found) refusal_ = {"too few landmarks recognised", found.agreeing, options_.landmarks.min_agreeing};
+  frame->velocity.setZero();
+  result->times.align += now() - t0;
+  return found.found;
+}
+
+bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result) {
+  rt::TimeNs t0 = now();
+  std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
+  const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
+  const ReprojectionResult r =
+      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, coarser,
+                        ++reprojection_mark_, std::max(wanted, 2 * options_.health.min_measurements), found.data());
+  result->matches = r.matches;
+  result->shaded = r.shaded;
+  result->trials = r.trials;
+  result->candidates = r.candidates;
+  rt::TimeNs t1 = now();
+  result->times.reproject += t1 - t0;
+
+  for (int i = 0; i < r.matches; ++i) {
+    PoseMeasurement& m = measurements_[i];
+    m.p_world = map_->point(found[i].point.index).p_world;
+    free_of_rolling_shutter(&found[i], frame->T_cam_world * m.p_world, frame->velocity);
+    m.px = found[i].px_global.cast<double>();
+    m.gradient = found[i].gradient.cast<double>();
+    m.type = found[i].type;
+    m.sigma_px = match_sigma_px(found[i].level) * (found[i].shaded ? options_.shaded_sigma : 1.0);
+  }
+  match_count_ = r.matches;
+  PoseOptimizerResult p =
+      optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches), &frame->T_cam_world);
+  rejected_count_ = 0;
+  if (options_.gate.on && p.ok) {
+    const auto all = static_cast<std::size_t>(r.matches);
+    const int left = gate_.run({found.data(), all}, {measurements_.data(), all});
+    if (left < r.matches) {
+      match_count_ = result->matches = left;
+      rejected_count_ = r.matches - left;
+      result->shaded = static_cast<int>(
+          std::count_if(found.begin(), found.begin() + left, [](const FrameFeature& f) { return f.shaded; }));
+      p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world);
+    }
+  }
+  result->times.pose += now() - t1;
+  result->measurements = p.ok ? p.inliers : 0;
+  result->rms_px = p.rms_px;
+  weight_scale_ = p.weight_scale;
+  refusal_ = {};
+  result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
+  if (result->measurements < min_measurements) return false;
+  return enough_found(options_.min_found_share, *result) && enough_agree(options_.min_inlier_share, *result) &&
+         as_noisy_as_stated(*result);
+}
+
+bool Tracker::enough_found(double share, const FrameResult& r) {
+  if (r.measurements >= share * r.trials) return true;
+  refusal_ = {"too few of the alignments hold [%]", 100 * r.measurements / r.trials, static_cast<int>(100.0 * share)};
+  return false;
+}
+
+bool Tracker::enough_agree(double share, const FrameResult& r) {
+  if (r.measurements >= share * r.matches) return true;
+  refusal_ = {"too many outliers, inliers are [%]", 100 * r.measurements / r.matches, static_cast<int>(100.0 * share)};
+  return false;
+}
+
+bool Tracker::as_noisy_as_stated(const FrameResult& r) {
+  if (r.misfit <= options_.noise_allowance) return true;
+  refusal_ = {"the measurements disagree, chi-square over its limit is [%]", static_cast<int>(100.0 * r.misfit),
+              static_cast<int>(100.0 * options_.noise_allowance)};
+  return false;
+}
+
+bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
+  if (r.measurements < gate.measurements) {
+    refusal_ = {"too few features to be sure", r.measurements, gate.measurements};
+    return false;
+  }
+  return enough_agree(gate.inlier_share, r) && enough_found(gate.found_share, r);
+}
+
+bool Tracker::as_expected(const Frame& frame) {
+  const PosePrior& e = frame.expected;
+  if (!e.known) return true;
+  const SE3 apart = e.T_cam_map * frame.T_cam_world.inverse();
+  const double sigmas = options_.most_expected_sigmas;
+  const double places =
+      apart.t.norm() / std::max(sigmas * e.place_sigma, options_.expected_depth_share * median_depth_);
+  const double turns = so3_log(apart.R).norm() / std::max(sigmas * e.turn_sigma_rad, options_.expected_turn_rad);
+  const double off = std::max(places, turns);
+  if (off <= 1.0) return true;
+  refusal_ = {"looks alike, but the camera cannot be there: of what is possible [%]",
+              static_cast<int>(std::min(1e6, 100.0 * off)), 100};
+  return false;
+}
+
+bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
+  if (!frame.crowded || weak_ >= options_.weak_frames) return false;
+  // What lies inside the mask is looked for without being counted as tried: it must not stand in for what lies beside.
+  int beside = 0;
+  for (int i = 0; i < match_count_; ++i) beside += measurements_[i].inlier && !features_scratch_[i].shaded;
+  return beside >= options_.weak_beside && beside >= options_.few_but_sure.found_share * r.trials &&
+         passes(options_.few_but_sure, r);
+}
+
+bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
+  // Where the camera should be, if anyone knows, in turns with what looks like a keyframe; between movers, who spoil
+  // that, in turns with what looks like points of the map. First a rough pose, then all of the map around it.
+  const bool expected = frame->expected.known;
+  const bool there = expected && relocalise_attempt_ % 2 == 0;
+  const int attempt = expected ? relocalise_attempt_++ / 2 : relocalise_attempt_++;
+  // What an attempt before this one has seen is not told as this one's.
+  refusal_ = {};
+  result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
+  const bool guessed = there              ? look_where_expected(frame->expected, frame, result)
+                       : !frame->crowded  ? look_for_likeness(attempt, frame, result)
+                       : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
+                                          : look_for_likeness(attempt / 2, frame, result);
+  if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
+      measure(in, false, frame, least_measurements(*frame), result) &&
+      (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
+    return as_expected(*frame);
+  return false;
+}
+
+FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
+  using Kind = FrameEvidence::Kind;
+  const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
+  if (last_.slot >= 0 && gap <= options_.last_frame_gap_ns) {
+    // Constant velocity, over as much time as has passed; after a gap the camera may have done anything, unless someone
+    // else has watched it.
+    const bool near = gap <= options_.direct_gap_ns;
+    SE3 guess;
+    if (have_velocity_ && near && gap > 0) {
+      guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
+    } else if (frame->expected.known) {
+      guess =
+          frame->expected.T_cam_map * (last_.expected.known ? last_.expected.T_cam_map : last_.T_cam_world).inverse();
+    }
+    align_with_last(in, frame, guess, result);
+    const bool coarser = near && feature_count_ < options_.plenty;
+    bool held = measure(in, coarser, frame, least_measurements(*frame), result) && as_expected(*frame);
+    if (!held && near && have_velocity_) {
+      // Where light changes from row to row the pictures may not be laid on each other at all. Points are found all the
+      // same, each with a gain of its own, from where the motion goes on as it was; that is a guess, and must convince.
+      frame->T_cam_world = guess * last_.T_cam_world;
+      frame->velocity = last_.velocity;
+      held = measure(in, coarser, frame, least_measurements(*frame), result) && passes(options_.convincing, *result) &&
+             as_expected(*frame);
+    }
+    if (held) {
+      const bool counts = result->measurements >= options_.health.min_measurements;
+      const bool sure = few_but_sure(*frame, *result);
+      const bool followed = near && unproved_ == 0;
+      if (followed && weak_ == 0 && counts) return Kind::kPose;
+      // After a guess, or after poses that did not count, one must convince before it does.
+      if (followed || unproved_ > 0) {
+        // Found where the camera should be, there are two witnesses.
+        const TrackerOptions::Gate& enough = frame->expected.known ? options_.promising : options_.convincing;
+        if (counts && (sure || passes(enough, *result))) {
+          unproved_ = 0;
+          return Kind::kPose;
+        }
+        if (sure) {
+          unproved_ = 0;
+          return Kind::kWeak;
+        }
+      }
+      if (unproved_ < options_.unproved_frames && (sure || (counts && passes(options_.promising, *result))))
+        return Kind::kUnproved;
+    }
+    if (unproved_ > 0) {
+      unproved_ = 0;
+      retire(&last_);
+      feature_count_ = 0;
+    }
+  } else if (find_in_map(in, frame, result)) {
+    return Kind::kUnproved;
+  }
+  return find_in_map(in, frame, result) ? Kind::kUnproved : Kind::kNoPose;
+}
+
+}  // namespace godwit::vo
