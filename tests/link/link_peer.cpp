@@ -159,7 +159,7 @@ int main(int argc, char** argv) {
   const auto period = static_cast<rt::TimeNs>(1e9 / o.camera_hz);
   rt::TimeNs next_frame = start + period;
   std::vector<double> own_ms, wall_ms;
-  std::array<std::uint64_t, 8> input_counts{};
+  std::array<std::uint64_t, static_cast<std::size_t>(InputKind::kBusTime) + 1> input_counts{};
   std::uint8_t resets = 0;
   std::array<double, 3> map_start{};
   while (!link->restart_due()) {
@@ -213,6 +213,9 @@ int main(int argc, char** argv) {
     return values.empty() ? 0.0 : values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
   };
   const LinkStatus& s = link->status();
+  const auto count = [&](InputKind kind) {
+    return static_cast<unsigned long long>(input_counts.at(static_cast<std::size_t>(kind)));
+  };
   std::printf(
       "{\"own_p50_ms\": %.4f, \"own_p99_ms\": %.4f, \"wall_p99_ms\": %.4f, \"latency_min_ms\": %.3f, "
       "\"latency_p50_ms\": %.3f, "
@@ -223,10 +226,8 @@ int main(int argc, char** argv) {
       at(own_ms, 0.5), at(own_ms, 0.99), at(wall_ms, 0.99), s.latency.min_ms, s.latency.p50_ms, s.latency.p99_ms,
       s.latency.viso_delay_ms, s.round_trip_ms, s.bus_load_percent, static_cast<unsigned long long>(s.odometry_sent),
       static_cast<unsigned long long>(s.poses_paced), static_cast<unsigned long long>(s.tx.poses_replaced),
-      static_cast<unsigned long long>(s.reception.errors()), s.reset_counter, s.node_id,
-      static_cast<unsigned long long>(input_counts[0]), static_cast<unsigned long long>(input_counts[2]),
-      static_cast<unsigned long long>(input_counts[3]), static_cast<unsigned long long>(input_counts[4]),
-      static_cast<unsigned long long>(input_counts[1]), static_cast<unsigned long long>(input_counts[5]),
-      static_cast<unsigned long long>(input_counts[7]));
+      static_cast<unsigned long long>(s.reception.errors()), s.reset_counter, s.node_id, count(InputKind::kAttitude),
+      count(InputKind::kRange), count(InputKind::kLocalPosition), count(InputKind::kGlobalPosition),
+      count(InputKind::kImu), count(InputKind::kPressure), count(InputKind::kBusTime));
   return link->restart_due() ? 75 : 0;
 }
