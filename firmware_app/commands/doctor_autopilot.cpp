@@ -3,7 +3,6 @@
 #include <array>
 #include <limits>
 #include <poll.h>
-#include <thread>
 #include <unistd.h>
 
 #include "firmware_app/autopilot/aid_watch.h"
@@ -12,6 +11,8 @@
 #include "firmware_app/link/doctor.h"
 #include "firmware_app/pipeline/odometry_stage.h"
 #include "firmware_app/pipeline/pipeline.h"
+#include "hal/rt/process_end.h"
+#include "hal/rt/thread.h"
 
 namespace godwit::app {
 namespace {
@@ -224,13 +225,15 @@ void tilt_test(const Config& config, DoctorCamera* camera, link::LinkService* se
   options.tap = &tap;
   NoSink sink;
   std::atomic<bool> done{false};
-  std::thread pipeline([&] {
+  rt::Thread pipeline;
+  const auto started = pipeline.start("gw-tilt", {}, [&] {
     const auto run = run_pipeline(camera->camera.get(), stage.get(), pool.value().get(), options, &sink, done);
     static_cast<void>(run.ok());  // the sink refuses nothing
   });
+  if (!started) return report->wrong("tilt test: " + started.error().message);
   const auto test = guide(service, &tap, mounting, stop);
   done.store(true, std::memory_order_relaxed);
-  pipeline.join();
+  rt::join_in_time(&pipeline);
   if (!test) return report->wrong("tilt test: " + test.error().message);
   const std::vector<std::string> mistakes = test.value().result();
   for (const std::string& mistake : mistakes) report->wrong("tilt test: " + mistake);

@@ -7,13 +7,14 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <sys/socket.h>
-#include <thread>
 #include <vector>
 
 #include "firmware_app/commands/live_reader.h"
 #include "firmware_app/output/base64.h"
 #include "firmware_app/output/live_server.h"
 #include "hal/rt/image.h"
+#include "hal/rt/process_end.h"
+#include "hal/rt/thread.h"
 #include "hal/rt/time.h"
 
 namespace godwit::app {
@@ -62,7 +63,7 @@ struct LiveWatch::State {
   std::condition_variable change;
   std::string status, picture, track;
   rt::TimeNs t_looked_ns = 0;  // 0: nobody has
-  std::thread thread;
+  rt::Thread thread;
 
   bool looking() {
     const std::lock_guard<std::mutex> lock(mutex);
@@ -134,7 +135,9 @@ void LiveWatch::State::run() {
 }
 
 LiveWatch::LiveWatch(std::string socket) : state_(std::make_unique<State>(std::move(socket))) {
-  state_->thread = std::thread([this] { state_->run(); });
+  if (const auto r = state_->thread.start("gw-watch", {}, [this] { state_->run(); }); !r) {
+    state_->forget(r.error().message);
+  }
 }
 
 LiveWatch::~LiveWatch() {
@@ -143,7 +146,7 @@ LiveWatch::~LiveWatch() {
     state_->stop.store(true, std::memory_order_relaxed);
     state_->change.notify_all();
   }
-  state_->thread.join();
+  rt::join_in_time(&state_->thread);
 }
 
 std::string LiveWatch::status() {

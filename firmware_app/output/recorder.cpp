@@ -11,6 +11,7 @@
 
 #include "hal/atomic_file.h"
 #include "hal/rt/frame_pool.h"
+#include "hal/rt/process_end.h"
 #include "hal/rt/thread.h"
 
 namespace godwit::app {
@@ -23,6 +24,8 @@ constexpr std::size_t kWriters = 3;
 /// So many pictures behind, a writer stops packing them: that halves its work and doubles the file.
 constexpr std::size_t kBehind = 8;
 constexpr rt::TimeNs kWaitNs = 50 * rt::kNsPerMs;
+/// A device that is asked for 50 ms at most and is not back after so long hangs: what there is is finished without it.
+constexpr rt::TimeNs kHangsNs = rt::kNsPerSecond;
 
 class Recording {
  public:
@@ -42,7 +45,8 @@ class Recording {
   void collect_samples();
   bool time_is_up() const;
   Recorded so_far() const;
-  rt::Result<void> finish(const Recorded& done);
+  void end_writers();
+  rt::Result<void> finish();
   std::string data_folder() const { return options_.out + "/mav0/cam0/data"; }
 
   hal::Camera* camera_;
@@ -63,7 +67,8 @@ class Recording {
   std::atomic<std::uint64_t> pictures_{0}, bad_{0}, missed_{0}, taken_{0}, imu_faults_{0};
   std::uint64_t samples_written_ = 0;
   std::atomic<bool> stop_{false};
-  /// Release: all jobs were pushed before. Partner: the acquire load in write_pictures().
+  /// Release: all jobs were pushed before, but those of a camera that hangs. Partner: the acquire load in
+  /// write_pictures().
   std::atomic<bool> camera_done_{false};
   std::atomic<bool> failing_{false};
 };
@@ -234,21 +239,39 @@ rt::Result<Recorded> Recording::run(const RecorderProgress& progress, const std:
     if (progress) progress(so_far(), space.available);
   }
   stop_.store(true, std::memory_order_relaxed);
-  camera_thread_.join();
-  imu_thread_.join();
-  for (rt::Thread& writer : writers_) writer.join();
+  end_writers();
+  collect_samples();
+  Recorded done = so_far();
+  done.disc_full = full;
+  const rt::Result<void> finished = finish();  // also after an error: what was written is to be found
+  rt::join_in_time(&camera_thread_);
+  rt::join_in_time(&imu_thread_);
   if (!result) return result.error();
   for (const std::string& failed : failed_) {
     if (!failed.empty()) return rt::Error{failed};
   }
-  collect_samples();
-  Recorded done = so_far();
-  done.disc_full = full;
-  if (auto r = finish(done); !r) return r.error();
+  if (!finished) return finished.error();
   return done;
 }
 
-rt::Result<void> Recording::finish(const Recorded& /*done*/) {
+/// Once no device is read any more, or hangs: the pictures that wait are written.
+void Recording::end_writers() {
+  const rt::TimeNs hangs_ns = rt::monotonic_now_ns() + kHangsNs;
+  const auto comes_back = [&](const rt::Thread& device) {
+    while (device.running() && !device.ended() && rt::monotonic_now_ns() < hangs_ns) {
+      rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
+    }
+    return !device.running() || device.ended();
+  };
+  comes_back(imu_thread_);
+  if (!comes_back(camera_thread_)) {
+    camera_done_.store(true, std::memory_order_release);
+    for (rt::WakeUp& wake : wake_) wake.post();
+  }
+  for (rt::Thread& writer : writers_) rt::join_in_time(&writer);
+}
+
+rt::Result<void> Recording::finish() {
   if (imu_ != nullptr) {
     if (auto r = imu_file_.write(imu_text_); !r) return r;
     if (auto r = imu_file_.commit(); !r) return r;

@@ -1,11 +1,20 @@
 #include "firmware_app/output/recorder.h"
 
 #include <algorithm>
+#include <atomic>
+#include <cstdio>
+#include <cstdlib>
 #include <filesystem>
+#include <functional>
 #include <gtest/gtest.h>
+#include <string>
+#include <unistd.h>
 
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/imu/replay/imu_record.h"
+#include "hal/rt/process_end.h"
+#include "hal/rt/time.h"
+#include "hal/rt/wake_up.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -27,6 +36,7 @@ class Pictures final : public hal::Camera {
     frame->sequence = static_cast<std::uint32_t>(number_ < 10 ? number_ : number_ + 2);  // two are missing
     frame->t_capture_ns = 1'000'000'000'000 + number_ * 16'666'667LL;
     ++number_;
+    if (before_picture) before_picture(number_, frame->t_capture_ns);
     if (number_ == 5) {
       *why = "bad";
       return hal::CameraStatus::kBadFrame;
@@ -35,6 +45,7 @@ class Pictures final : public hal::Camera {
     for (int y = 0; y < 64; ++y) std::fill_n(grey.row(y), 96, static_cast<std::uint8_t>(number_));
     return hal::CameraStatus::kFrame;
   }
+  std::function<void(int number, rt::TimeNs t_capture_ns)> before_picture;
 
  private:
   const int count_;
@@ -110,6 +121,76 @@ TEST(Recorder, ADiscThatIsNearlyFullEndsItInGoodTime) {
   ASSERT_TRUE(done.ok()) << done.error().message;
   EXPECT_TRUE(done.value().disc_full);
   EXPECT_TRUE(std::filesystem::exists(options.out + "/mav0/imu0/data.csv")) << "what there was before is whole";
+}
+
+/// Its driver does not come back once 20 pictures are there.
+class HangingPictures final : public hal::Camera {
+ public:
+  int width() const override { return pictures_.width(); }
+  int height() const override { return pictures_.height(); }
+  int channels() const override { return 1; }
+  hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
+                         hal::CapturedFrame* frame, std::string* why) override {
+    const hal::CameraStatus status = pictures_.next(grey, bgr, timeout_ns, frame, why);
+    while (status == hal::CameraStatus::kEnd) {
+      hangs = true;
+      rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerSecond);
+    }
+    return status;
+  }
+  std::atomic<bool> hangs{false};
+
+ private:
+  Pictures pictures_{20};
+};
+
+TEST(RecorderDeathTest, ACameraThatHangsIsNamedAndWhatItGaveIsWhole) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  // Both processes of this test must know the folder.
+  const std::string out = std::filesystem::temp_directory_path() / "godwit_recorder_hangs";
+  const auto record = [&] {
+    std::filesystem::remove_all(out);
+    rt::abandon_threads_by([](const char* thread) {
+      std::fprintf(stderr, "%s hangs\n", thread);
+      std::_Exit(3);
+    });
+    HangingPictures camera;
+    RecorderOptions options;
+    options.out = out;
+    options.calibration = kCalibration;
+    std::atomic<bool> stop{false};
+    const auto done = record_devices(
+        &camera, nullptr, options, [&](const Recorded&, std::uint64_t) { stop = camera.hangs.load(); }, stop);
+    std::_Exit(done.ok() ? 0 : 1);
+  };
+  alarm(120);
+  EXPECT_EXIT(record(), ::testing::ExitedWithCode(3), "gw-camera hangs");
+  alarm(0);
+  const auto replay = hal::ReplayCamera::open(out, {});
+  ASSERT_TRUE(replay.ok()) << replay.error().message;
+  EXPECT_EQ(replay.value()->total(), 19);
+  std::filesystem::remove_all(out);
+}
+
+TEST(Recorder, APictureThatCannotBeWrittenIsToldAndThoseBeforeAreToBeFound) {
+  const test::TempFolder folder;
+  Pictures camera(40);
+  RecorderOptions options;
+  options.out = folder / "flight";
+  options.calibration = kCalibration;
+  // The name of the 30th picture is taken, by something that no picture can be written over.
+  std::filesystem::create_directories(options.out);
+  const std::atomic<bool> stop{false};
+  camera.before_picture = [&](int number, rt::TimeNs t_capture_ns) {
+    if (number != 30) return;
+    std::filesystem::create_directories(options.out + "/mav0/cam0/data/" + std::to_string(t_capture_ns) + ".png/taken");
+  };
+  const auto done = record_devices(&camera, nullptr, options, {}, stop);
+  ASSERT_FALSE(done.ok());
+  EXPECT_NE(done.error().message.find("cannot be written"), std::string::npos) << done.error().message;
+  auto replay = hal::ReplayCamera::open(options.out, {});
+  ASSERT_TRUE(replay.ok()) << replay.error().message;
+  EXPECT_GE(replay.value()->total(), 20);
 }
 
 TEST(Recorder, AFolderThatCannotBeMadeIsAnError) {
