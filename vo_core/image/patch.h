@@ -44,6 +44,25 @@ inline float interpolate(const rt::ImageView& im, float x, float y) {
   return top + fy * (bottom - top);
 }
 
+/// Bilinear values at one (x, y) a lane. Precondition of each as for interpolate().
+inline hn::Vec<RowTag> interpolate_lanes(const rt::ImageView& im, hn::Vec<RowTag> x, hn::Vec<RowTag> y) {
+  const RowTag df;
+  const hn::Rebind<std::int32_t, RowTag> di32;
+  const auto xi = hn::ConvertTo(di32, x), yi = hn::ConvertTo(di32, y);
+  const auto fx = hn::Sub(x, hn::ConvertTo(df, xi)), fy = hn::Sub(y, hn::ConvertTo(df, yi));
+  // Four bytes from each pixel on, of which two count; image.h promises that they can be read.
+  const auto at = hn::Add(hn::Mul(yi, hn::Set(di32, im.stride)), xi);
+  const auto* const data = reinterpret_cast<const std::int32_t*>(im.data);
+  const auto top = hn::GatherOffset(di32, data, at);
+  const auto bottom = hn::GatherOffset(di32, data, hn::Add(at, hn::Set(di32, im.stride)));
+  const auto byte = hn::Set(di32, 0xff);
+  const auto left = [&](auto four) { return hn::ConvertTo(df, hn::And(four, byte)); };
+  const auto right = [&](auto four) { return hn::ConvertTo(df, hn::And(hn::ShiftRight<8>(four), byte)); };
+  const auto above = hn::MulAdd(fx, hn::Sub(right(top), left(top)), left(top));
+  const auto below = hn::MulAdd(fx, hn::Sub(right(bottom), left(bottom)), left(bottom));
+  return hn::MulAdd(fy, hn::Sub(below, above), above);
+}
+
 /// Samples `rows` rows of 4 * quads pixels spaced by 1, top-left sample at (x, y), into out (row length 4 * quads).
 /// Precondition: the samples and their right and lower neighbours lie in the picture.
 inline void sample_grid(const rt::ImageView& im, float x, float y, int quads, int rows, float* out) {

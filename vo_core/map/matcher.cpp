@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <hwy/cache_control.h>
 
 #include "vo_core/image/patch.h"
 
@@ -13,6 +14,21 @@ constexpr int kAlignIterations = 8;
 constexpr float kMaxShiftPx = 4.0f;    // on the search level
 constexpr float kMaxResidual = 0.85f;  // residual over contrast: zero-mean correlation of about 0.6
 constexpr float kMaxResidualSeed = 0.60f;
+
+// The pixels of a reference patch, from its point.
+constexpr int kBorderPixels = kPatchBorderSize * kPatchBorderSize;
+struct PatchPlaces {
+  std::array<float, kBorderPixels> x{}, y{};
+};
+constexpr PatchPlaces patch_places() {
+  PatchPlaces places;
+  for (int k = 0; k < kBorderPixels; ++k) {
+    places.x[static_cast<std::size_t>(k)] = static_cast<float>(k % kPatchBorderSize - kPatchHalf - 1);
+    places.y[static_cast<std::size_t>(k)] = static_cast<float>(k / kPatchBorderSize - kPatchHalf - 1);
+  }
+  return places;
+}
+constexpr PatchPlaces kPatchPlaces = patch_places();
 
 // Zero-mean sum of squared differences between 8-bit patches; `ref` row-major 8x8.
 struct ZeroMeanPatch {
@@ -138,14 +154,32 @@ bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int
       centre.x() + reach_x >= static_cast<float>(image.width - 1) ||
       centre.y() + reach_y >= static_cast<float>(image.height - 1))
     return false;
-  float* out = patch->value.data();
-  for (int y = 0; y < kPatchBorderSize; ++y) {
-    const float v = static_cast<float>(y) - e;
-    float px = centre.x() + A(0, 1) * v - A(0, 0) * e;
-    float py = centre.y() + A(1, 1) * v - A(1, 0) * e;
-    for (int x = 0; x < kPatchBorderSize; ++x, px += A(0, 0), py += A(1, 0)) *out++ = interpolate(image, px, py);
+  const RowTag df;
+  constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
+  const auto xx = hn::Set(df, A(0, 0)), xy = hn::Set(df, A(0, 1)), yx = hn::Set(df, A(1, 0)), yy = hn::Set(df, A(1, 1));
+  const auto cx = hn::Set(df, centre.x()), cy = hn::Set(df, centre.y());
+  for (int k = 0;;) {
+    const auto u = hn::LoadU(df, kPatchPlaces.x.data() + k), v = hn::LoadU(df, kPatchPlaces.y.data() + k);
+    const auto px = hn::MulAdd(xx, u, hn::MulAdd(xy, v, cx)), py = hn::MulAdd(yx, u, hn::MulAdd(yy, v, cy));
+    hn::StoreU(interpolate_lanes(image, px, py), df, patch->value.data() + k);
+    if (k + kLanes == kBorderPixels) break;
+    // The last vector overlaps the one before it rather than reaching over the end.
+    k = std::min(k + kLanes, kBorderPixels - kLanes);
   }
   return true;
+}
+
+void prefetch_patch(const rt::PyramidView& pyramid, const KeyframeFeature& feature) {
+  constexpr int kReach = kPatchHalf + 2;
+  const rt::ImageView& image = pyramid.level[feature.level];
+  const Vec2f centre = to_level(feature.px, feature.level);
+  const int x = static_cast<int>(centre.x()) - kReach, y = static_cast<int>(centre.y()) - kReach;
+  const int rows = std::min(y + 2 * kReach, image.height);
+  for (int row = std::max(y, 0); row < rows; ++row) {
+    const std::uint8_t* const p = image.row(row) + std::max(x, 0);
+    hwy::Prefetch(p);
+    hwy::Prefetch(p + 2 * kReach);
+  }
 }
 
 MatchResult match_direct(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,

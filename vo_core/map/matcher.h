@@ -30,6 +30,10 @@ int search_level(const Eigen::Matrix2f& A_cur_ref, int level_ref, int max_level)
 /// Cuts the source's patch as it appears on `level_cur` of the other view. False when it leaves the source picture.
 bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int level_cur, ReferencePatch* patch);
 
+/// Asks for the pixels that warp_patch() will read of a feature, about as many as an unturned patch of its own scale
+/// covers. Says nothing and changes nothing.
+void prefetch_patch(const rt::PyramidView& pyramid, const KeyframeFeature& feature);
+
 struct MatchResult {
   bool found = false;
   Vec2f px = Vec2f::Zero();  ///< level-0 pixels

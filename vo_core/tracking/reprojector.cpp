@@ -30,7 +30,7 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
 
 void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
                           std::uint32_t mark, ReprojectionResult* result) {
-  const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
+  position_ = -(T_cam_world.R.transpose() * T_cam_world.t);
   const Vec3 axis = T_cam_world.R.row(2);
   // Keyframes that look the same way, nearest first.
   std::array<std::pair<double, int>, kMaxKeyframes> near;
@@ -41,7 +41,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
     keyframe_position_[k] = kf.position();
     const double cos_axis = axis.dot(kf.T_kf_world.R.row(2).transpose());
     if (cos_axis < 0.5) continue;
-    const double d = (keyframe_position_[k] - position).norm() / kf.median_depth + 1.0 * (1.0 - cos_axis);
+    const double d = (keyframe_position_[k] - position_).norm() / kf.median_depth + 1.0 * (1.0 - cos_axis);
     near[n++] = {d, k};
   }
   std::sort(near.begin(), near.begin() + n);
@@ -76,6 +76,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
       Candidate& c = candidates_[candidate_count_];
       c.point = h;
       c.px = px.cast<float>();
+      c.keyframe = kUnchosen;
       // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
       const int reliability = p->found * 8 / (p->found + 2 * p->missed + 8);
       c.weight = static_cast<std::uint16_t>(p->observation_count * 8 + reliability);
@@ -88,27 +89,37 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   result->candidates = candidate_count_;
 }
 
-bool Reprojector::try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
-                            float max_residual, FrameFeature* out) {
-  const MapPoint& p = *map->find(c.point);
+void Reprojector::make_ready(const Map& map, std::uint16_t index) {
+  if (index == kEnd || candidates_[index].keyframe != kUnchosen) return;
+  Candidate& c = candidates_[index];
+  const MapPoint& p = *map.find(c.point);
   // The observation whose direction is nearest to the present one.
-  const Vec3 position = -(T_cam_world.R.transpose() * T_cam_world.t);
-  const Vec3 direction = (position - p.p_world).normalized();
-  int best = -1;
+  const Vec3 direction = (position_ - p.p_world).normalized();
+  c.keyframe = kNone;
   double best_cos = 0.5;
   for (int i = 0; i < p.observation_count; ++i) {
     const Vec3 d = keyframe_position_[p.observations[i].keyframe] - p.p_world;
     const double cos_angle = d.dot(direction) / d.norm();
     if (cos_angle > best_cos) {
       best_cos = cos_angle;
-      best = i;
+      c.keyframe = static_cast<std::int8_t>(p.observations[i].keyframe);
+      c.feature = p.observations[i].feature;
     }
   }
-  if (best < 0) return false;
-  const Keyframe& kf = map->keyframe(p.observations[best].keyframe);
-  const KeyframeFeature& feature = kf.features[p.observations[best].feature];
+  if (c.keyframe == kNone) return;
+  const Keyframe& kf = map.keyframe(c.keyframe);
+  prefetch_patch(kf.pyramid, kf.features[c.feature]);
+}
+
+bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid,
+                            const SE3& T_cam_world, float max_residual, FrameFeature* out) {
+  make_ready(map, index);
+  const Candidate& c = candidates_[index];
+  if (c.keyframe == kNone) return false;
+  const Keyframe& kf = map.keyframe(c.keyframe);
+  const KeyframeFeature& feature = kf.features[c.feature];
   const PatchSource source{&kf.pyramid, &feature,
-                           (keyframe_position_[p.observations[best].keyframe] - p.p_world).norm()};
+                           (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm()};
   const SE3 T_cur_kf = T_cam_world * kf.T_kf_world.inverse();
   MatchResult m;
   for (int coarser = 0; coarser <= coarser_; ++coarser) {
@@ -144,13 +155,17 @@ void Reprojector::run_free(Map* map, const rt::PyramidView& pyramid, const SE3& 
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
       std::uint16_t& head = cell_head_[cell_order_[i]];
+      if (i + 1 < columns_ * rows_) make_ready(*map, cell_head_[cell_order_[i + 1]]);
       while (head != kEnd) {
         if (result->matches >= limit || result->trials >= options_.max_trials) return;
-        const Candidate& c = candidates_[head];
-        head = c.next;
+        const std::uint16_t tried = head;
+        head = candidates_[tried].next;
+        // Which of them is tried next hangs on how this one ends.
+        make_ready(*map, head);
         ++result->trials;
         Trial& trial = trials_[trial_count_++];
-        trial = {c.point.index, try_match(map, c, pyramid, T_cam_world, 1.0f, out + result->matches)};
+        trial = {candidates_[tried].point.index,
+                 try_match(*map, tried, pyramid, T_cam_world, 1.0f, out + result->matches)};
         if (trial.found) {
           ++result->matches;
           break;
@@ -169,10 +184,10 @@ void Reprojector::run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3
       std::uint16_t& head = shaded_head_[cell_order_[i]];
       while (head != kEnd) {
         if (result->matches >= limit || trials >= options_.max_trials) return;
-        const Candidate& c = candidates_[head];
-        head = c.next;
+        const std::uint16_t tried = head;
+        head = candidates_[tried].next;
         ++trials;
-        if (try_match(map, c, pyramid, T_cam_world, options_.shaded_residual, out + result->matches)) {
+        if (try_match(*map, tried, pyramid, T_cam_world, options_.shaded_residual, out + result->matches)) {
           out[result->matches++].shaded = true;
           ++result->shaded;
           break;

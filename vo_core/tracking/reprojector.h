@@ -59,9 +59,13 @@ class Reprojector {
   struct Candidate {
     PointHandle point;
     Vec2f px;
-    std::uint16_t next;    ///< list of the cell
-    std::uint16_t weight;  ///< better candidates first
+    std::uint16_t next;     ///< list of the cell
+    std::uint16_t weight;   ///< better candidates first
+    std::int8_t keyframe;   ///< that its patch is taken from; kUnchosen, or kNone: none looks at it from about here
+    std::uint16_t feature;  ///< there
   };
+  static constexpr std::int8_t kUnchosen = -2, kNone = -1;
+  static_assert(kMaxKeyframes <= 127);
   static constexpr int kMaxCandidates = 2400;
   static constexpr int kMaxCells = 4096;
   static constexpr int kMaxTrials = 512;
@@ -73,7 +77,10 @@ class Reprojector {
                 FrameFeature* out);
   void run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
                   ReprojectionResult* result, FrameFeature* out);
-  bool try_match(Map* map, const Candidate& c, const rt::PyramidView& pyramid, const SE3& T_cam_world,
+  /// Chooses the candidate's patch and asks for its pixels: keyframes' pictures lie in no cache, and a trial that waits
+  /// for ten of their rows costs twice what it computes. Nothing where that is done already; `index` may be kEnd.
+  void make_ready(const Map& map, std::uint16_t index);
+  bool try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, const SE3& T_cam_world,
                  float max_residual, FrameFeature* out);
 
   const CameraModel& camera_;
@@ -81,6 +88,7 @@ class Reprojector {
   int columns_, rows_;
   int candidate_count_ = 0;
   int coarser_ = 0;  ///< of the run at hand
+  Vec3 position_ = Vec3::Zero();  ///< the camera's, of the run at hand
   struct Trial {
     std::uint16_t point;
     bool found;
