@@ -71,11 +71,22 @@ TEST(LinkSettings, EveryKeyArrives) {
   EXPECT_EQ(s.link.mavlink.origin->altitude_m, 488);
 }
 
+TEST(LinkSettings, WhoMayWriteOverTheBusArrives) {
+  const ConfigReport report = parse_config("[can]\nlock_parameters = true\nwriters = [10, 11]\n", "c.toml");
+  ASSERT_TRUE(report.ok()) << report.mistakes[0];
+  const link::LinkSettings s = link_settings(report.config, std::nullopt);
+  EXPECT_TRUE(s.link.write_rules.locked);
+  EXPECT_THAT(s.link.write_rules.only_nodes, ElementsAre(10, 11));
+  EXPECT_THAT(mistakes("[can]\nwriters = [0]\n"), ElementsAre(HasSubstr("c.toml:2: can.writers:")));
+}
+
 TEST(LinkSettings, DefaultsAreThoseOfTheNode) {
   const link::LinkSettings s = link_settings(Config{}, std::nullopt);
   EXPECT_EQ(s.link.parameters, link::fallback_values());
   EXPECT_EQ(s.link.odometry.R_body_cam, link::OdometryConfig{}.R_body_cam);
   EXPECT_FALSE(s.link.mavlink.origin.has_value());
+  EXPECT_FALSE(s.link.write_rules.locked);
+  EXPECT_TRUE(s.link.write_rules.only_nodes.empty());
 }
 
 TEST(LinkSettings, TheConfigurationsMountingWinsOverTheCalibrations) {
