@@ -65,6 +65,27 @@ TEST(Patch, SampledGridEqualsScalar) {
   }
 }
 
+TEST(Patch, LanesAreSampledEachAtItsOwnPlace) {
+  const test::Picture picture = noise(64, 48);
+  const rt::ImageView im = picture.view();
+  const RowTag row;
+  constexpr std::size_t kLanes = hn::MaxLanes(RowTag());
+  std::array<float, kLanes> x, y, out;
+  for (int i = 0; i < 500; ++i) {
+    for (std::size_t k = 0; k < kLanes; ++k) {
+      // All over the picture, the first and the last places that have neighbours among them.
+      const int n = i * static_cast<int>(kLanes) + static_cast<int>(k);
+      x[k] = n % 7 == 0 ? 62.999f : static_cast<float>(std::fmod(n * 1.171, 63.0));
+      y[k] = n % 11 == 0 ? 46.999f : static_cast<float>(std::fmod(n * 0.737, 47.0));
+    }
+    hn::StoreU(interpolate_lanes(im, hn::LoadU(row, x.data()), hn::LoadU(row, y.data())), row, out.data());
+    for (std::size_t k = 0; k < kLanes; ++k)
+      ASSERT_NEAR(static_cast<double>(out[k]), bilinear(im, static_cast<double>(x[k]), static_cast<double>(y[k])),
+                  kAllowed)
+          << x[k] << " " << y[k];
+  }
+}
+
 TEST(Patch, OneSampleEqualsTheGridsAndTheDefinition) {
   const test::Picture picture = noise(40, 30);
   std::array<float, 4> grid{};

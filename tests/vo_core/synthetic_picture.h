@@ -16,7 +16,7 @@ namespace godwit::vo::test {
 class Picture {
  public:
   Picture(int width, int height, std::uint8_t grey)
-      : width_(width), height_(height), pixels_(static_cast<std::size_t>(width * height), grey) {}
+      : width_(width), height_(height), pixels_(static_cast<std::size_t>(width * height + rt::kRowAlignment), grey) {}
 
   int width() const { return width_; }
   int height() const { return height_; }

@@ -19,20 +19,26 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
   constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
   alignas(32) float value[64], g0[64], g1[64];
 
-  float mean = 0.0f;
+  const auto half = hn::Set(df, 0.5f), along_x = hn::Set(df, direction.x()), along_y = hn::Set(df, direction.y());
+  auto sum_of_values = hn::Zero(df);
   for (int y = 0; y < kPatchSize; ++y) {
-    const float* w = ref.value.data() + (y + 1) * kPatchBorderSize + 1;
-    for (int x = 0; x < kPatchSize; ++x) {
-      const float gx = 0.5f * (w[x + 1] - w[x - 1]);
-      const float gy = 0.5f * (w[x + kPatchBorderSize] - w[x - kPatchBorderSize]);
-      const int k = y * kPatchSize + x;
-      value[k] = w[x];
-      mean += w[x];
-      g0[k] = kDims == 2 ? gx : gx * direction.x() + gy * direction.y();
-      if constexpr (kDims == 2) g1[k] = gy;
+    for (int q = 0; q < kPatchSize; q += kLanes) {
+      const float* w = ref.value.data() + (y + 1) * kPatchBorderSize + 1 + q;
+      const auto v = hn::LoadU(df, w);
+      const auto gx = hn::Mul(half, hn::Sub(hn::LoadU(df, w + 1), hn::LoadU(df, w - 1)));
+      const auto gy = hn::Mul(half, hn::Sub(hn::LoadU(df, w + kPatchBorderSize), hn::LoadU(df, w - kPatchBorderSize)));
+      const int k = y * kPatchSize + q;
+      hn::Store(v, df, value + k);
+      sum_of_values = hn::Add(v, sum_of_values);
+      if constexpr (kDims == 2) {
+        hn::Store(gx, df, g0 + k);
+        hn::Store(gy, df, g1 + k);
+      } else {
+        hn::Store(hn::MulAdd(gx, along_x, hn::Mul(gy, along_y)), df, g0 + k);
+      }
     }
   }
-  mean /= 64.0f;
+  const float mean = hn::GetLane(hn::SumOfLanes(df, sum_of_values)) / 64.0f;
   Eigen::Matrix<float, kN, kN> H = Eigen::Matrix<float, kN, kN>::Zero();
   {
     auto s00 = hn::Zero(df), s01 = s00, s11 = s00, s0i = s00, s1i = s00, s0 = s00, s1 = s00, sii = s00;

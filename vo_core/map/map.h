@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <hwy/cache_control.h>
 #include <memory>
 
 #include "hal/rt/image.h"
@@ -83,6 +84,9 @@ class Map {
     return h.valid() && p.active && p.generation == h.generation ? &p : nullptr;
   }
   const MapPoint* find(PointHandle h) const { return const_cast<Map*>(this)->find(h); }
+
+  /// Asks for what find() looks at, and the point's place: points lie in no order that a processor would foresee.
+  void prefetch(PointHandle h) const { hwy::Prefetch(&points_[h.index < kMaxPoints ? h.index : 0]); }
 
   MapPoint& point(int index) { return points_[index]; }
   const MapPoint& point(int index) const { return points_[index]; }

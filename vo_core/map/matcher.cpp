@@ -175,10 +175,12 @@ void prefetch_patch(const rt::PyramidView& pyramid, const KeyframeFeature& featu
   const Vec2f centre = to_level(feature.px, feature.level);
   const int x = static_cast<int>(centre.x()) - kReach, y = static_cast<int>(centre.y()) - kReach;
   const int rows = std::min(y + 2 * kReach, image.height);
+  // Rows begin on the boundary of a line of the cache, so that all of them lie in it as the first does.
+  const bool two_lines = std::max(x, 0) % rt::kRowAlignment + 2 * kReach > rt::kRowAlignment;
   for (int row = std::max(y, 0); row < rows; ++row) {
     const std::uint8_t* const p = image.row(row) + std::max(x, 0);
     hwy::Prefetch(p);
-    hwy::Prefetch(p + 2 * kReach);
+    if (two_lines) hwy::Prefetch(p + 2 * kReach);
   }
 }
 

@@ -11,7 +11,8 @@
 namespace godwit::vo {
 namespace {
 constexpr double kFirstScale = 10.0, kMinScale = 0.5;
-constexpr int kRoughSteps = 3;  // with the spread that the first pose leaves; from then on with that of the last
+constexpr double kSmallStep = 0.01;  // of the pose's own sigma: what is left to gain then is below its noise
+constexpr int kRoughSteps = 3;       // with the spread that the first pose leaves; from then on with that of the last
 double tukey_weight(double x) {
   const double u = x / kTukey;
   const double v = 1.0 - u * u;
@@ -93,7 +94,7 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
     if (!dx.allFinite()) return result;
     T = SE3::exp(dx) * T;
     if (it == kRoughSteps - 1 && !measure_scale(options.max_scale)) return result;
-    if (it >= kRoughSteps && dx.cwiseAbs().maxCoeff() < 1e-7) break;
+    if (it >= kRoughSteps && dx.dot(b) < kSmallStep * kSmallStep) break;
   }
   // Final classification and information at the solution, inliers only.
   H.setZero();

@@ -7,6 +7,9 @@
 #include "vo_core/map/matcher.h"
 
 namespace godwit::vo {
+namespace {
+constexpr int kAhead = 8;  // points that are asked for before they are projected
+}
 
 Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& options)
     : camera_(camera), options_(options) {
@@ -39,6 +42,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
     const Keyframe& kf = map->keyframe(k);
     if (kf.id == 0) continue;
     keyframe_position_[k] = kf.position();
+    T_cur_kf_[k] = T_cam_world * kf.T_kf_world.inverse();
     const double cos_axis = axis.dot(kf.T_kf_world.R.row(2).transpose());
     if (cos_axis < 0.5) continue;
     const double d = (keyframe_position_[k] - position_).norm() / kf.median_depth + 1.0 * (1.0 - cos_axis);
@@ -54,6 +58,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   for (int i = 0; i < n; ++i) {
     const Keyframe& kf = map->keyframe(near[i].second);
     for (int f = 0; f < kf.feature_count && candidate_count_ < kMaxCandidates; ++f) {
+      if (f + kAhead < kf.feature_count) map->prefetch(kf.features[f + kAhead].point);
       const PointHandle h = kf.features[f].point;
       MapPoint* p = map->find(h);
       if (!p || p->last_mark == mark) continue;
@@ -111,19 +116,17 @@ void Reprojector::make_ready(const Map& map, std::uint16_t index) {
   prefetch_patch(kf.pyramid, kf.features[c.feature]);
 }
 
-bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid,
-                            const SE3& T_cam_world, float max_residual, FrameFeature* out) {
+bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, float max_residual,
+                            FrameFeature* out) {
   make_ready(map, index);
   const Candidate& c = candidates_[index];
   if (c.keyframe == kNone) return false;
   const Keyframe& kf = map.keyframe(c.keyframe);
   const KeyframeFeature& feature = kf.features[c.feature];
-  const PatchSource source{&kf.pyramid, &feature,
-                           (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm()};
-  const SE3 T_cur_kf = T_cam_world * kf.T_kf_world.inverse();
+  const PatchSource source{&kf.pyramid, &feature, (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm()};
   MatchResult m;
   for (int coarser = 0; coarser <= coarser_; ++coarser) {
-    m = match_direct(camera_, source, T_cur_kf, pyramid, c.px, options_.max_level, coarser);
+    m = match_direct(camera_, source, T_cur_kf_[c.keyframe], pyramid, c.px, options_.max_level, coarser);
     if (m.found && m.residual <= max_residual) break;
   }
   if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
@@ -144,28 +147,27 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;
-  run_free(map, pyramid, T_cam_world, limit, &result, out);
-  if (result.matches < options_.scarce_matches) run_shaded(map, pyramid, T_cam_world, limit, &result, out);
+  run_free(*map, pyramid, limit, &result, out);
+  if (result.matches < options_.scarce_matches) run_shaded(*map, pyramid, limit, &result, out);
   return result;
 }
 
-void Reprojector::run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
-                           ReprojectionResult* result, FrameFeature* out) {
+void Reprojector::run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
+                           FrameFeature* out) {
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
       std::uint16_t& head = cell_head_[cell_order_[i]];
-      if (i + 1 < columns_ * rows_) make_ready(*map, cell_head_[cell_order_[i + 1]]);
+      if (i + 1 < columns_ * rows_) make_ready(map, cell_head_[cell_order_[i + 1]]);
       while (head != kEnd) {
         if (result->matches >= limit || result->trials >= options_.max_trials) return;
         const std::uint16_t tried = head;
         head = candidates_[tried].next;
         // Which of them is tried next hangs on how this one ends.
-        make_ready(*map, head);
+        make_ready(map, head);
         ++result->trials;
         Trial& trial = trials_[trial_count_++];
-        trial = {candidates_[tried].point.index,
-                 try_match(*map, tried, pyramid, T_cam_world, 1.0f, out + result->matches)};
+        trial = {candidates_[tried].point.index, try_match(map, tried, pyramid, 1.0f, out + result->matches)};
         if (trial.found) {
           ++result->matches;
           break;
@@ -175,8 +177,8 @@ void Reprojector::run_free(Map* map, const rt::PyramidView& pyramid, const SE3& 
   }
 }
 
-void Reprojector::run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
-                             ReprojectionResult* result, FrameFeature* out) {
+void Reprojector::run_shaded(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
+                             FrameFeature* out) {
   // Not found means hidden here: such a trial says nothing about the point, nor about the pose.
   int trials = result->trials;
   for (int round = 0; round < 2; ++round) {
@@ -187,7 +189,7 @@ void Reprojector::run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3
         const std::uint16_t tried = head;
         head = candidates_[tried].next;
         ++trials;
-        if (try_match(*map, tried, pyramid, T_cam_world, options_.shaded_residual, out + result->matches)) {
+        if (try_match(map, tried, pyramid, options_.shaded_residual, out + result->matches)) {
           out[result->matches++].shaded = true;
           ++result->shaded;
           break;

@@ -73,21 +73,21 @@ class Reprojector {
 
   void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
                std::uint32_t mark, ReprojectionResult* result);
-  void run_free(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit, ReprojectionResult* result,
+  void run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
                 FrameFeature* out);
-  void run_shaded(Map* map, const rt::PyramidView& pyramid, const SE3& T_cam_world, int limit,
-                  ReprojectionResult* result, FrameFeature* out);
+  void run_shaded(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
+                  FrameFeature* out);
   /// Chooses the candidate's patch and asks for its pixels: keyframes' pictures lie in no cache, and a trial that waits
   /// for ten of their rows costs twice what it computes. Nothing where that is done already; `index` may be kEnd.
   void make_ready(const Map& map, std::uint16_t index);
-  bool try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, const SE3& T_cam_world,
-                 float max_residual, FrameFeature* out);
+  bool try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, float max_residual,
+                 FrameFeature* out);
 
   const CameraModel& camera_;
   ReprojectorOptions options_;
   int columns_, rows_;
   int candidate_count_ = 0;
-  int coarser_ = 0;  ///< of the run at hand
+  int coarser_ = 0;               ///< of the run at hand
   Vec3 position_ = Vec3::Zero();  ///< the camera's, of the run at hand
   struct Trial {
     std::uint16_t point;
@@ -99,6 +99,7 @@ class Reprojector {
   std::array<std::uint16_t, kMaxCells> cell_head_, shaded_head_;  ///< lists of candidates outside and inside the mask
   std::array<std::uint16_t, kMaxCells> cell_order_;
   std::array<Vec3, kMaxKeyframes> keyframe_position_;
+  std::array<SE3, kMaxKeyframes> T_cur_kf_;
 };
 
 }  // namespace godwit::vo

@@ -17,58 +17,69 @@ constexpr float kGainPrior = (kResidualSigma / kGainSigma) * (kResidualSigma / k
 constexpr float kLeastShare = 0.01f, kNoiseVariance = 16.0f;
 }  // namespace
 
-void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
+void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
   patch_count_ = static_cast<int>(std::min<std::size_t>(points.size(), patches_.size()));
+  for (int i = 0; i < patch_count_; ++i) {
+    Patch& patch = patches_[i];
+    Vec2 unused;
+    Mat23 Jp;
+    patch.in_view = camera_.project(points[i].p_ref, &unused, &Jp);
+    if (!patch.in_view) continue;
+    patch.p_ref = points[i].p_ref;
+    patch.J_level_0 =
+        align_jacobian(Jp, points[i].p_ref, row_time(static_cast<double>(points[i].px.y()))).cast<float>();
+  }
+}
+
+void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
+  const hn::FixedTag<float, 4> df;
+  const auto sum = [&](auto v) { return hn::GetLane(hn::SumOfLanes(df, v)); };
   const float scale = 1.0f / static_cast<float>(1 << level);
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
-    patch.visible = false;
     const Vec2f px = to_level(points[i].px, level);
-    if (px.x() < kHalf + 1 || px.y() < kHalf + 1 || px.x() >= static_cast<float>(ref.width - kHalf - 3) ||
-        px.y() >= static_cast<float>(ref.height - kHalf - 3))
-      continue;
-    Vec2 unused;
-    Mat23 Jp;
-    if (!camera_.project(points[i].p_ref, &unused, &Jp)) continue;
-    patch.visible = true;
-    patch.p_ref = points[i].p_ref;
+    patch.visible = patch.in_view && px.x() >= kHalf + 1 && px.y() >= kHalf + 1 &&
+                    px.x() < static_cast<float>(ref.width - kHalf - 3) &&
+                    px.y() < static_cast<float>(ref.height - kHalf - 3);
+    if (!patch.visible) continue;
     patch.row = static_cast<double>(points[i].px.y());
-    patch.J = align_jacobian(Jp, points[i].p_ref, row_time(patch.row)).cast<float>() * scale;
+    patch.J = patch.J_level_0 * scale;
 
     alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
     sample_grid(ref, px.x() - kHalf - 1, px.y() - kHalf - 1, 2, 6, window);
-    float mean = 0;
-    for (int y = 0; y < 4; ++y)
-      for (int x = 0; x < 4; ++x) mean += window[(y + 1) * 8 + x + 1] / 16.0f;
-    float gxx = 0, gxy = 0, gyy = 0, vv = 0;
-    Vec2f g1 = Vec2f::Zero(), gv = Vec2f::Zero();
+    auto values = hn::Zero(df);
+    for (int y = 0; y < 4; ++y) values = hn::Add(values, hn::LoadU(df, window + (y + 1) * 8 + 1));
+    const float mean = sum(values) / 16.0f;
+    auto gxx = hn::Zero(df), gxy = gxx, gyy = gxx, vv = gxx, g1x = gxx, g1y = gxx, gvx = gxx, gvy = gxx;
     for (int y = 0; y < 4; ++y) {
-      for (int x = 0; x < 4; ++x) {
-        const float* w = window + (y + 1) * 8 + x + 1;
-        const float gx = 0.5f * (w[1] - w[-1]), gy = 0.5f * (w[8] - w[-8]);
-        const float v = w[0] - mean;
-        const int k = y * 4 + x;
-        patch.value[k] = v;
-        patch.gx[k] = gx;
-        patch.gy[k] = gy;
-        gxx += gx * gx;
-        gxy += gx * gy;
-        gyy += gy * gy;
-        g1 += Vec2f(gx, gy);
-        gv += Vec2f(gx * v, gy * v);
-        vv += v * v;
-      }
+      const float* w = window + (y + 1) * 8 + 1;
+      const auto half = hn::Set(df, 0.5f);
+      const auto gx = hn::Mul(half, hn::Sub(hn::LoadU(df, w + 1), hn::LoadU(df, w - 1)));
+      const auto gy = hn::Mul(half, hn::Sub(hn::LoadU(df, w + 8), hn::LoadU(df, w - 8)));
+      const auto v = hn::Sub(hn::LoadU(df, w), hn::Set(df, mean));
+      hn::Store(v, df, patch.value.data() + 4 * y);
+      hn::Store(gx, df, patch.gx.data() + 4 * y);
+      hn::Store(gy, df, patch.gy.data() + 4 * y);
+      gxx = hn::MulAdd(gx, gx, gxx);
+      gxy = hn::MulAdd(gx, gy, gxy);
+      gyy = hn::MulAdd(gy, gy, gyy);
+      g1x = hn::Add(gx, g1x);
+      g1y = hn::Add(gy, g1y);
+      gvx = hn::MulAdd(gx, v, gvx);
+      gvy = hn::MulAdd(gy, v, gvy);
+      vv = hn::MulAdd(v, v, vv);
     }
     // The patch's own gain and offset are eliminated (Schur complement); its values have no mean, so that they do not
     // mix.
     patch.mean = mean;
-    patch.vv = vv;
-    patch.per_value = 1.0f / (vv + kGainPrior);
-    patch.g1 = g1;
-    patch.gv = gv;
+    patch.vv = sum(vv);
+    patch.per_value = 1.0f / (patch.vv + kGainPrior);
+    patch.g1 = Vec2f(sum(g1x), sum(g1y));
+    patch.gv = Vec2f(sum(gvx), sum(gvy));
     Eigen::Matrix2f G;
-    G << gxx, gxy, gxy, gyy;
-    G -= gv * gv.transpose() * patch.per_value + g1 * g1.transpose() / 16.0f;
+    const float mixed = sum(gxy);
+    G << sum(gxx), mixed, mixed, sum(gyy);
+    G -= patch.gv * patch.gv.transpose() * patch.per_value + patch.g1 * patch.g1.transpose() / 16.0f;
     patch.H.noalias() = patch.J.transpose() * (G * patch.J).eval();
   }
 }
@@ -135,6 +146,7 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
   SparseAlignResult result;
   shutter_ = shutter;
   SE3 T = T_init;
+  look_at(points);
   const int top = std::min(options_.max_level, ref.levels - 1);
   for (int level = top; level >= options_.min_level; --level) {
     prepare(ref.level[level], level, points);

@@ -62,15 +62,17 @@ class SparseImageAlign {
     alignas(16) std::array<float, 16> value, gx, gy;  // grey levels less `mean`; gradient in grey levels a level pixel
     float mean, vv, per_value;                        // squares of the values; 1 over them and what holds the gain
     Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
-    Eigen::Matrix<float, 2, 6> J;                     // d level pixel / d twist of the reference point
+    Eigen::Matrix<float, 2, 6> J_level_0, J;          // d pixel / d twist of the reference point, at level 0 and this
     Mat6f H;
     Vec3 p_ref;
-    double row;  ///< where it was last seen [level-0 px]
-    bool visible;
+    double row;    ///< where it was last seen [level-0 px]
+    bool in_view;  ///< of the camera
+    bool visible;  ///< whole, in the level at hand
   };
 
   /// Time at which a row is read, over the time between the frames, 0 at the capture time.
   double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
+  void look_at(std::span<const AlignPoint> points);
   void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
   int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b, float* cost);
 
