@@ -30,6 +30,13 @@ bool is_named(int fd, const std::string& name) {
          ours.st_ino == named.st_ino;
 }
 
+/// Why nothing may be laid in the place of `name`, wherever links lead; null: it is a plain file, or nothing yet.
+const char* in_the_way(const std::string& name) {
+  struct stat about {};
+  if (stat(name.c_str(), &about) != 0 || S_ISREG(about.st_mode)) return nullptr;
+  return S_ISDIR(about.st_mode) ? "is a folder" : "is no plain file";
+}
+
 /// What a run that was killed left behind goes, and what somebody planted: the name alone, whatever else is called by
 /// it. Why it stays, without words of `name`; null: the name is free, or was a moment ago.
 const char* make_way(const std::string& name) {
@@ -70,6 +77,7 @@ rt::Error AtomicFile::fail(const char* doing) {
 
 rt::Result<void> AtomicFile::open(const std::string& file) {
   file_ = file;
+  if (const char* why = in_the_way(file); why != nullptr) return rt::Error{file + ": " + why};
   int fd = -1;
   // Another run that ends at this moment may take the name away between two steps.
   for (int tries = 0; fd < 0 && tries < kTries; ++tries) {

@@ -10,10 +10,10 @@
 namespace godwit::hal {
 
 /// Writes to NAME.part and renames to NAME in commit(). Whatever goes wrong before (full disk, no right to write, the
-/// process killed, a power cut) leaves no NAME, or the one that there was. NAME.part is a file of its
-/// own: what a killed run left there goes, and so does a link of either kind that somebody laid there, not what it
-/// leads to; what another run writes stays, and is an error. The destructor removes an uncommitted NAME.part. One
-/// thread.
+/// process killed, a power cut) leaves no NAME, or the one that there was. What is no plain file is no NAME: a device
+/// would be gone and a plain file stand in its place (/dev/null, /dev/stdout). NAME.part is a file of its own: what a
+/// killed run left there goes, and so does a link of either kind that somebody laid there, not what it leads to; what
+/// another run writes stays, and is an error. The destructor removes an uncommitted NAME.part. One thread.
 class AtomicFile {
  public:
   AtomicFile() = default;

@@ -19,6 +19,7 @@
 #include "firmware_app/output/event_line.h"
 #include "firmware_app/output/statistics.h"
 #include "firmware_app/sim/flight_calibration.h"
+#include "firmware_app/sim/picture_memory.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/sim/flight/flight.h"
 
@@ -39,6 +40,10 @@ double line_of_status_mb(const char* key) {
     }
   }
   return kb * 1024 / 1e6;
+}
+
+std::int64_t flown_pictures(const Options& o, double fps) {
+  return std::max<std::int64_t>(2, static_cast<std::int64_t>(o.seconds * fps));
 }
 
 void say(const std::string& words) {
@@ -216,7 +221,11 @@ rt::Result<Pictures> load_pictures(const Options& o, const std::atomic<bool>& st
   // The readout is a share of the frame interval: another rate must not change the pictures' own.
   if (out.calibration.fps > 0) out.calibration.readout_frames *= out.fps / out.calibration.fps;
   out.calibration.fps = out.fps;
-  auto camera = app::LoopedPictures::record(source.get(), static_cast<int>(o.pictures), {}, stop);
+  // More than are flown would be drawn for nothing.
+  const std::int64_t wanted = std::min(o.pictures, flown_pictures(o, out.fps));
+  const auto room = app::room_for_pictures(wanted, source->width(), source->height());
+  if (!room) return rt::Error{"--pictures: " + room.error().message + "; hold fewer"};
+  auto camera = app::LoopedPictures::record(source.get(), static_cast<int>(wanted), {}, stop);
   if (!camera) return camera.error();
   out.camera = std::move(camera).value();
   // The pictures are kept grey: no slot needs room for colour.
@@ -264,7 +273,7 @@ rt::Result<FlightFigures> fly(const Pictures& pictures, const Options& o, app::C
 
   app::LoopedPictures::Options looped;
   looped.interval_ns = static_cast<rt::TimeNs>(1e9 / pictures.fps);
-  looped.total = std::max<std::int64_t>(2, static_cast<std::int64_t>(o.seconds * pictures.fps));
+  looped.total = flown_pictures(o, pictures.fps);
   looped.delivery_ns = static_cast<rt::TimeNs>(o.delays.delivery_ms() * 1e6);
   HeapWatch camera_heap, tracker_heap;
   std::unique_ptr<hal::Camera> source;

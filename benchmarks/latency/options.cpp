@@ -8,7 +8,7 @@
 
 #include "firmware_app/config/version.h"
 #include "firmware_app/program/exit_code.h"
-#include "firmware_app/program/whole_number.h"
+#include "firmware_app/program/numbers.h"
 
 namespace godwit::bench {
 
@@ -33,16 +33,18 @@ int parse_options(int argc, char** argv, Options* o) {
       ->check(CLI::IsMember({"on", "off", "both"}))
       ->capture_default_str();
   app.add_option("--seconds", o->seconds, "Length of each flight [s]")
-      ->check(CLI::Range(1.0, 86'400.0))
+      ->check(app::number(1, app::kLongSeconds))
       ->capture_default_str();
   app.add_option("--fps", o->fps, "Pictures a second (default: the sequence's own rate, or 30)")
-      ->check(CLI::Range(1.0, 240.0));
+      ->check(app::number(1, 240));
   app.add_option("--pictures", o->pictures, "Pictures held in memory and shown forth and back")
-      ->check(app::whole_number(2, 100'000))
+      ->check(app::whole_number(2, app::kManyPictures))
       ->capture_default_str();
-  app.add_option("--seed", o->seed, "Of a simulated scenario")->capture_default_str();
+  app.add_option("--seed", o->seed, "Of a simulated scenario")
+      ->check(app::whole_number(0, app::kLastSeed))
+      ->capture_default_str();
   const auto delay = [&](const char* name, double* value, const char* what) {
-    app.add_option(name, *value, what)->check(CLI::Range(0.0, 1000.0))->capture_default_str()->excludes(live);
+    app.add_option(name, *value, what)->check(app::number(0, 1000))->capture_default_str()->excludes(live);
   };
   delay("--exposure-ms", &o->delays.exposure_ms, "Exposure of the simulated camera [ms]");
   delay("--readout-ms", &o->delays.readout_ms, "Readout of the simulated camera, first row to last [ms]");
@@ -52,12 +54,14 @@ int parse_options(int argc, char** argv, Options* o) {
   app.add_flag("--watched", o->watched,
                "Also keep and show the flight as godwitd does: flight_log, recorder and live of the configuration");
   app.add_option("--json", o->json_file, "Writes all figures (schema: docs/figures.schema.json)")->type_name("FILE");
-  app.add_option("--plot", o->plot_file, "Draws histogram and timeline of the ages")->type_name("FILE.png");
+  CLI::Option* const plot =
+      app.add_option("--plot", o->plot_file, "Draws histogram and timeline of the ages")->type_name("FILE.png");
   app.add_option(
          "--compare", o->compare,
          "Two configurations (.toml) or two godwit-latency programs, flown in turn; INPUT and the other options "
          "hold for both")
       ->expected(2)
+      ->excludes(plot)
       ->type_name("A B");
   app.add_option("--pairs", o->pairs, "Pairs of flights that --compare counts; an odd number becomes even by one more")
       ->check(app::whole_number(3, 1000))

@@ -4,6 +4,7 @@
 
 #include "firmware_app/commands/record_command.h"
 #include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/numbers.h"
 #include "hal/atomic_file.h"
 #include "hal/imu/allan.h"
 #include "hal/imu/replay/imu_record.h"
@@ -90,9 +91,9 @@ void add_calibrate_command(CLI::App* app, CalibrateArguments* a) {
   camera->add_option("--config", a->camera.config, "The live camera is that of [camera]")->type_name("FILE");
   camera->add_option("--size", a->camera.size, "Of the live camera's pictures: WIDTHxHEIGHT");
   camera->add_option("--seconds", a->camera.seconds, "How long to look; without it until Ctrl-C or enough was seen")
-      ->check(CLI::PositiveNumber);
+      ->check(number(1e-3, kLongSeconds));
   camera->add_option("--fps", a->camera.fps, "Pictures a second, where the readout of a rolling shutter is to be told")
-      ->check(CLI::PositiveNumber);
+      ->check(number(1e-3, kMostFps));
 }
 
 int run_calibrate(const CalibrateArguments& a, const std::atomic<bool>& stop) {

@@ -7,6 +7,7 @@
 #include "firmware_app/flight/devices.h"
 #include "firmware_app/output/recorder.h"
 #include "firmware_app/program/exit_code.h"
+#include "firmware_app/program/numbers.h"
 #include "hal/record_file.h"
 
 namespace godwit::app {
@@ -25,7 +26,7 @@ void add_record_command(CLI::App* app, RecordArguments* a) {
       ->type_name("FILE")
       ->required();
   c->add_option("OUT", a->out, "Folder; it must not hold a recording")->required();
-  c->add_option("--seconds", a->seconds, "How long; without it until Ctrl-C")->check(CLI::PositiveNumber);
+  c->add_option("--seconds", a->seconds, "How long; without it until Ctrl-C")->check(number(1e-3, kLongSeconds));
   c->add_flag("--no-camera", a->no_camera, "The IMU alone, for godwit calibrate imu");
 }
 

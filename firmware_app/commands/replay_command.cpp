@@ -12,7 +12,7 @@
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/byte_port.h"
 #include "firmware_app/program/exit_code.h"
-#include "firmware_app/program/whole_number.h"
+#include "firmware_app/program/numbers.h"
 #include "hal/aid/replay/replay_aids.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/can/can_bus.h"

@@ -7,7 +7,7 @@
 
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/program/exit_code.h"
-#include "firmware_app/program/whole_number.h"
+#include "firmware_app/program/numbers.h"
 #include "firmware_app/sim/flight_writer.h"
 
 namespace godwit::app {
@@ -17,7 +17,7 @@ void add_flight_options(CLI::App* command, FlightArguments* a) {
   command
       ->add_option("--seed", a->seed, "Another seed is another world, wind and noise; equal seeds give equal flights")
       ->type_name("N")
-      ->check(whole_number(0, 1'000'000'000))
+      ->check(whole_number(0, kLastSeed))
       ->capture_default_str();
   command
       ->add_option("--scenarios", a->folder,

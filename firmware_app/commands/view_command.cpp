@@ -8,7 +8,7 @@
 #include "firmware_app/commands/live_watch.h"
 #include "firmware_app/commands/page_server.h"
 #include "firmware_app/program/exit_code.h"
-#include "firmware_app/program/whole_number.h"
+#include "firmware_app/program/numbers.h"
 
 namespace godwit::app {
 namespace {

@@ -6,6 +6,7 @@
 #include "firmware_app/flight/scenario_folder.h"
 #include "firmware_app/sim/flight_calibration.h"
 #include "firmware_app/sim/looped_pictures.h"
+#include "firmware_app/sim/picture_memory.h"
 #include "hal/camera/replay/replay_camera.h"
 #include "hal/record_file.h"
 #include "hal/rt/wake_up.h"
@@ -65,6 +66,9 @@ rt::Result<void> DaemonCamera::render(const Config::Camera& config, const Say& s
   LoopedPictures::Options options;
   options.interval_ns = static_cast<rt::TimeNs>(1e9 / calibration_->fps);
   options.once = once_.get();
+  if (const auto room = room_for_pictures(config.pictures, rendered->width(), rendered->height()); !room) {
+    return rt::Error{"camera.pictures: " + room.error().message};
+  }
   say(fmt::format("rendering {} pictures of {}, seed {}", config.pictures, config.scenario, config.seed));
   auto camera = LoopedPictures::record(rendered.get(), config.pictures, options, stop);
   if (!camera) return camera.error();

@@ -26,6 +26,9 @@ constexpr std::size_t kBehind = 8;
 constexpr rt::TimeNs kWaitNs = 50 * rt::kNsPerMs;
 /// A device that is asked for 50 ms at most and is not back after so long hangs: what there is is finished without it.
 constexpr rt::TimeNs kHangsNs = rt::kNsPerSecond;
+/// A disc that took no picture for so long hangs: cards stand still for seconds while they tidy up. What waits at the
+/// end, up to 46 MB of 752 x 480, is written however long a slow one takes.
+constexpr rt::TimeNs kDiscHangsNs = 10 * rt::kNsPerSecond;
 
 class Recording {
  public:
@@ -246,6 +249,11 @@ rt::Result<Recorded> Recording::run(const RecorderProgress& progress, const std:
   const rt::Result<void> finished = finish();  // also after an error: what was written is to be found
   rt::join_in_time(&camera_thread_);
   rt::join_in_time(&imu_thread_);
+  if (done.pictures == 0 && done.samples == 0) {
+    // Or the same command, once the device is plugged in, would find a recording there.
+    std::error_code ignored;
+    fs::remove_all(options_.out + "/mav0", ignored);
+  }
   if (!result) return result.error();
   for (const std::string& failed : failed_) {
     if (!failed.empty()) return rt::Error{failed};
@@ -268,7 +276,8 @@ void Recording::end_writers() {
     camera_done_.store(true, std::memory_order_release);
     for (rt::WakeUp& wake : wake_) wake.post();
   }
-  for (rt::Thread& writer : writers_) rt::join_in_time(&writer);
+  const auto written = [this] { return pictures_.load(std::memory_order_relaxed); };
+  for (rt::Thread& writer : writers_) rt::join_as_it_works(&writer, written, kDiscHangsNs);
 }
 
 rt::Result<void> Recording::finish() {

@@ -3,26 +3,13 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
-#include <fstream>
 #include <thread>
 
 #include "firmware_app/output/progress_bar.h"
 #include "firmware_app/sim/flight_writer.h"
+#include "firmware_app/sim/picture_memory.h"
 
 namespace godwit::app {
-namespace {
-
-/// Memory that the kernel thinks it can give without swapping [bytes]; 0 if it does not say.
-std::uint64_t available_memory() {
-  std::ifstream meminfo("/proc/meminfo");
-  std::string key, unit;
-  for (std::uint64_t kib = 0; meminfo >> key >> kib; std::getline(meminfo, unit)) {
-    if (key == "MemAvailable:") return kib * 1024;
-  }
-  return 0;
-}
-
-}  // namespace
 
 FlownCamera::FlownCamera(const sim::Flight& flight, const FlownCameraOptions& options)
     : camera_(flight.camera(0)), real_pace_(options.real_pace), time_(options.time) {
@@ -35,13 +22,10 @@ FlownCamera::FlownCamera(const sim::Flight& flight, const FlownCameraOptions& op
 }
 
 rt::Result<void> FlownCamera::render_ahead(const std::atomic<bool>& stop) {
-  const std::size_t bytes = static_cast<std::size_t>(width()) * static_cast<std::size_t>(height());
-  const std::uint64_t needed = bytes * static_cast<std::uint64_t>(left_), there = available_memory();
-  // A fifth is left to the run itself and to others.
-  if (there > 0 && needed > there / 5 * 4) {
-    return rt::Error{"--render-ahead: " + std::to_string(left_) + " pictures need " + std::to_string(needed >> 20) +
-                     " MB, and " + std::to_string(there >> 20) + " MB of memory are free; fly fewer with --frames"};
+  if (const auto room = room_for_pictures(left_, width(), height()); !room) {
+    return rt::Error{"--render-ahead: " + room.error().message + "; fly fewer with --frames"};
   }
+  const std::size_t bytes = static_cast<std::size_t>(width()) * static_cast<std::size_t>(height());
   ahead_.resize(static_cast<std::size_t>(left_));
   ProgressBar bar(left_);
   for (std::size_t i = 0; i < ahead_.size(); ++i) {

@@ -54,12 +54,35 @@ void join_in_time(Thread* thread, TimeNs patience_ns, const Abandon& abandon) {
   thread->join();
 }
 
+void join_as_it_works(Thread* thread, const std::function<std::uint64_t()>& done, TimeNs patience_ns,
+                      const Abandon& abandon) {
+  if (!thread->running()) return;
+  std::uint64_t last = done();
+  TimeNs since_ns = monotonic_now_ns();
+  const auto ended = [&] {
+    if (const std::uint64_t now = done(); now != last) {
+      last = now;
+      since_ns = monotonic_now_ns();
+    }
+    return thread->ended();
+  };
+  while (abandon && !ended()) {
+    if (monotonic_now_ns() > give_up_ns(since_ns, patience_ns)) abandon(thread->name());
+    sleep_until_ns(monotonic_now_ns() + kNsPerMs);
+  }
+  thread->join();
+}
+
 void abandon_threads_by(Abandon abandon) {
   word_of_program() = std::move(abandon);
 }
 
 void join_in_time(Thread* thread) {
   join_in_time(thread, kProcessEndNs, word_of_program());
+}
+
+void join_as_it_works(Thread* thread, const std::function<std::uint64_t()>& done, TimeNs patience_ns) {
+  join_as_it_works(thread, done, patience_ns, word_of_program());
 }
 
 void forget_process_end() {

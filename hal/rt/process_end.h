@@ -1,6 +1,7 @@
 // The end of a process, which a thread that hangs must not keep away: one moment for all that is waited for.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 
 #include "hal/rt/thread.h"
@@ -33,11 +34,16 @@ void await_end(const std::function<bool()>& ended, const char* thread, TimeNs pa
 /// Joins a thread that was told to end, if it runs; waits as await_end() does.
 void join_in_time(Thread* thread, TimeNs patience_ns, const Abandon& abandon);
 
+/// The same for one that has work left: its patience counts from the last time done() grew, whose thread this may be.
+void join_as_it_works(Thread* thread, const std::function<std::uint64_t()>& done, TimeNs patience_ns,
+                      const Abandon& abandon);
+
 /// The program's word for threads of which nobody else is told: those of devices. Before any of them starts; null, as
 /// at the beginning: they are waited for.
 void abandon_threads_by(Abandon abandon);
 /// As above, for kProcessEndNs, and with the program's word.
 void join_in_time(Thread* thread);
+void join_as_it_works(Thread* thread, const std::function<std::uint64_t()>& done, TimeNs patience_ns);
 
 /// As at the beginning; for tests, which end more than once.
 void forget_process_end();

@@ -5,7 +5,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <string>
+#include <sys/stat.h>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "hal/rt/time.h"
@@ -93,6 +95,25 @@ TEST(AtomicFile, WhoBeginsAsAnotherEndsEmptiesNothing) {
   for (std::thread& beginner : beginners) beginner.join();
   EXPECT_GT(committed, 0);
   EXPECT_EQ(cut_short, 0);
+}
+
+// As root, --json /dev/full put a plain file in the place of the machine's own.
+TEST(AtomicFile, DevicesPipesAndFoldersStayWhatTheyAre) {
+  const TempFolder folder;
+  ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
+  fs::create_symlink("/dev/null", folder / "device");
+  fs::create_directory(folder / "folder");
+  const std::pair<const char*, const char*> cases[] = {
+      {"pipe", "is no plain file"}, {"device", "is no plain file"}, {"folder", "is a folder"}};
+  for (const auto& [name, why] : cases) {
+    hal::AtomicFile file;
+    const auto opened = file.open(folder / name);
+    ASSERT_FALSE(opened.ok()) << name;
+    EXPECT_THAT(opened.error().message, HasSubstr(std::string(name) + ": " + why));
+    EXPECT_FALSE(fs::exists(folder / (std::string(name) + ".part")));
+  }
+  EXPECT_TRUE(fs::is_fifo(folder / "pipe"));
+  EXPECT_TRUE(fs::is_symlink(folder / "device"));
 }
 
 TEST(AtomicFile, LeavesNothingWhenAbandoned) {

@@ -119,6 +119,9 @@ TEST_F(CalibrateCamera, WhatCannotBeDoneIsToldAndNothingWritten) {
   o = calibrate(std::string("camera --board ") + kBoard + out);
   EXPECT_EQ(o.exit_code, 2);
   EXPECT_THAT(o.text, HasSubstr("--config and --size for the live camera, is needed"));
+  o = calibrate(std::string("camera --fps nan --board ") + kBoard + out);
+  EXPECT_EQ(o.exit_code, 2);
+  EXPECT_THAT(o.text, HasSubstr("--fps: 'nan': numbers from 0.001 to 1000 are allowed"));
   EXPECT_FALSE(std::filesystem::exists(folder_ / "camera.toml"));
 }
 

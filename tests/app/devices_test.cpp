@@ -1,9 +1,13 @@
 #include "firmware_app/flight/devices.h"
 
 #include <filesystem>
+#include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sched.h>
 
+#include "hal/rt/time.h"
+#include "hal/rt/wake_up.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -142,6 +146,47 @@ TEST(Devices, WhatIsNotThereIsToldAndNoReasonNotToStart) {
   imu = open_imu(config.imu, log);
   ASSERT_TRUE(imu.ok());
   EXPECT_THAT(told, HasSubstr("warning: IMU: iio: "));
+}
+
+/// The processors that the thread of this name may run on; empty: there is none.
+std::string processors_of(const std::string& name) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::ifstream comm(task.path() / "comm"), status(task.path() / "status");
+    std::string word;
+    std::getline(comm, word);
+    if (word != name) continue;
+    while (status >> word) {
+      if (word == "Cpus_allowed_list:" && status >> word) return word;
+    }
+  }
+  return {};
+}
+
+TEST(Devices, MjpegIsDecodedWhereTheConfigurationSaysAndNotOnTheTrackersProcessor) {
+  const test::TempFolder folder;
+  test::write_file(folder / "camera.yaml", kCalibration);
+  Config config;
+  config.camera.source = Config::Camera::Source::kV4l2;
+  config.camera.calibration = folder / "camera.yaml";
+  config.camera.device = "/dev/no-such-camera";
+  config.camera.format = "MJPG";
+  cpu_set_t mine;
+  ASSERT_EQ(sched_getaffinity(0, sizeof mine, &mine), 0);
+  int last = 0;
+  for (int cpu = 0; cpu < CPU_SETSIZE; ++cpu) last = CPU_ISSET(cpu, &mine) ? cpu : last;
+  rt::ThreadPlan plan;
+  plan.cpus = {last};
+  const auto camera = open_camera(
+      config.camera, [](const std::string&) {}, plan);
+  ASSERT_TRUE(camera.ok());
+  EXPECT_TRUE(camera.value().camera->real_time());
+  std::string where;
+  // The thread names itself once it runs.
+  for (int i = 0; i < 6000 && where != std::to_string(last); ++i) {
+    where = processors_of("gw-feeder");
+    rt::sleep_until_ns(rt::monotonic_now_ns() + 5 * rt::kNsPerMs);
+  }
+  EXPECT_EQ(where, std::to_string(last));
 }
 
 }  // namespace devices_test

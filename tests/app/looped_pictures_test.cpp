@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware_app/sim/picture_memory.h"
+
 namespace godwit::app {
 namespace looped_pictures_test {
 
@@ -95,6 +97,13 @@ TEST(LoopedPictures, AtRealPaceAPictureComesWhenItIsDueAndWaitingIsBounded) {
     EXPECT_GE(rt::monotonic_now_ns(), frame.t_capture_ns);
   }
   EXPECT_GT(timeouts, 3);
+}
+
+TEST(PictureMemory, WhatHasNoRoomIsToldInMegabytes) {
+  EXPECT_TRUE(room_for_pictures(2, 640, 480).ok());
+  const auto room = room_for_pictures(1'000'000'000, 640, 480);
+  ASSERT_FALSE(room.ok());
+  EXPECT_THAT(room.error().message, testing::StartsWith("1000000000 pictures need 292968750 MB, and "));
 }
 
 }  // namespace looped_pictures_test

@@ -1,4 +1,5 @@
 // `godwit record` where its devices are not: told at once, and not taken for a recording.
+#include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -32,6 +33,17 @@ TEST(Record, ACameraThatIsNotThereIsToldAndNoRecording) {
   EXPECT_EQ(o.exit_code, 1) << o.text;
   EXPECT_THAT(o.text, HasSubstr("/dev/nothing: cannot be opened: No such file or directory"));
   EXPECT_THAT(o.text, HasSubstr("no picture came from /dev/nothing"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "recording/mav0")) << "it would be in the next one's way";
+}
+
+TEST(Record, ALengthThatIsNoneIsRefused) {
+  for (const char* seconds : {"nan", "inf", "0", "-1", "1e300", "long"}) {
+    const TempFolder folder;
+    const Outcome o = record(folder, "", std::string("--seconds ") + seconds);
+    EXPECT_EQ(o.exit_code, 2) << o.text;
+    EXPECT_THAT(o.text,
+                HasSubstr(std::string("--seconds: '") + seconds + "': numbers from 0.001 to 86400 are allowed"));
+  }
 }
 
 TEST(Record, AnInertialSensorThatIsNotThereIsToldAndNoRecording) {

@@ -42,6 +42,8 @@ struct FakeDevice {
   std::uint32_t buffer_bytes = 0;       ///< 0: as many as needed
   std::uint32_t field = V4L2_FIELD_NONE;
   std::uint32_t fps = 30;
+  bool takes_fps = false, tells_fps = true;
+  v4l2_fract asked_interval{};  ///< by VIDIOC_S_PARM, by the camera's own thread before it streams
   int stream_on_error = 0, request_error = 0;
   std::map<std::uint32_t, std::pair<std::string, std::int32_t>> controls;
   std::map<std::uint32_t, std::pair<std::string, std::int64_t>> controls64;
@@ -161,11 +163,15 @@ class FakeVideo final : public godwit::hal::VideoSystem {
       case VIDIOC_S_FMT:
         return set_format(&static_cast<v4l2_format*>(argument)->fmt.pix);
       case VIDIOC_G_PARM: {
+        if (!d_.tells_fps) return fail(ENOTTY);
         static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe = {1, d_.fps};
         return 0;
       }
-      case VIDIOC_S_PARM:
+      case VIDIOC_S_PARM: {
+        d_.asked_interval = static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe;
+        if (d_.takes_fps) d_.fps = d_.asked_interval.denominator / d_.asked_interval.numerator;
         return 0;
+      }
       case VIDIOC_QUERYCTRL:
         return query(static_cast<v4l2_queryctrl*>(argument));
       case VIDIOC_G_CTRL:

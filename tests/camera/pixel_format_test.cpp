@@ -1,5 +1,6 @@
 #include "hal/camera/pixels/pixel_format.h"
 
+#include <algorithm>
 #include <cstring>
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
@@ -99,6 +100,35 @@ TEST(YuvRows, AreTheSameAsPixelByPixel) {
     nv12_row(luma.data(), chroma.data(), width, bgr.data());
     for (std::size_t x = 0; x < w; ++x) bgr_of_yuv(luma[x], chroma[x / 2 * 2], chroma[x / 2 * 2 + 1], &want[3 * x]);
     ASSERT_EQ(bgr, want) << width;
+  }
+}
+
+TEST(YuvRows, OfAJpegAreTheSameAsPixelByPixel) {
+  std::mt19937 random(4);
+  for (const int width : {1, 2, 3, 15, 16, 17, 31, 33, 64, 255, 256, 257, 259, 640, 753}) {
+    const auto w = static_cast<std::size_t>(width);
+    std::vector<std::uint8_t> luma(w), cb((w + 1) / 2), cr((w + 1) / 2), bgr(3 * w), want(3 * w);
+    for (auto* bytes : {&luma, &cb, &cr}) {
+      for (auto& b : *bytes) b = static_cast<std::uint8_t>(random());
+    }
+    jpeg_row(luma.data(), cb.data(), cr.data(), width, bgr.data());
+    for (std::size_t x = 0; x < w; ++x) bgr_of_jpeg(luma[x], cb[x / 2], cr[x / 2], &want[3 * x]);
+    ASSERT_EQ(bgr, want) << width;
+  }
+}
+
+TEST(YuvRows, AJpegsColoursAreJfifsWithinOne) {
+  for (int y = 0; y < 256; y += 5) {
+    for (int cb = 0; cb < 256; cb += 3) {
+      for (int cr = 0; cr < 256; cr += 3) {
+        std::uint8_t bgr[3];
+        bgr_of_jpeg(y, cb, cr, bgr);
+        const double d = cb - 128, e = cr - 128;
+        const double want[3] = {y + 1.772 * d, y - 0.344136 * d - 0.714136 * e, y + 1.402 * e};
+        for (int i = 0; i < 3; ++i)
+          ASSERT_NEAR(bgr[i], std::clamp(want[i], 0.0, 255.0), 1) << y << ' ' << cb << ' ' << cr;
+      }
+    }
   }
 }
 

@@ -105,6 +105,26 @@ TEST_F(V4l2CameraTest, ADeviceThatGoesComesBack) {
   EXPECT_STREQ(e.what, "camera device is back");
 }
 
+TEST_F(V4l2CameraTest, TheFrameIntervalWantedReachesTheDeviceAndAnotherOneIsTold) {
+  settings_.fps = 25;
+  device_.takes_fps = true;
+  open();
+  ASSERT_EQ(shoot(), CameraStatus::kFrame);
+  EXPECT_EQ(device_.asked_interval.denominator, 25u * device_.asked_interval.numerator);
+  EXPECT_FALSE(told_.has("pictures a second"));
+  camera_.reset();
+  device_.takes_fps = false;
+  device_.fps = 30;
+  open();
+  ASSERT_EQ(shoot(), CameraStatus::kFrame);
+  EXPECT_TRUE(told_.has("/dev/video0: gives 30.00 pictures a second, not 25.00")) << told_.all;
+  camera_.reset();
+  device_.tells_fps = false;
+  open();
+  ASSERT_EQ(shoot(), CameraStatus::kFrame);
+  EXPECT_TRUE(told_.has("/dev/video0: its frame rate cannot be set")) << told_.all;
+}
+
 TEST_F(V4l2CameraTest, ADeviceThatIsNotThereAtTheStartIsLookedFor) {
   device_.there = false;
   open();

@@ -58,10 +58,10 @@ def main():
         missing = [name for name in EXPECTED if not (prefix / name).is_file()]
         if missing:
             fail(f'not installed: {missing}')
-        for program in sorted((prefix / 'bin').iterdir()):
+        for file in sorted(f for f in prefix.rglob('*') if f.is_file()):
             for folder in (SOURCE, BUILD):
-                if mentions(program, str(folder)):
-                    fail(f'{program.name} names {folder}')
+                if mentions(file, str(folder)):
+                    fail(f'{file.relative_to(prefix)} names {folder}')
         look_at_unit(prefix, first)
         look_at_manual(prefix)
         look_at_completion(prefix)

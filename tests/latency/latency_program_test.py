@@ -83,6 +83,23 @@ class Latency(unittest.TestCase):
         self.assertTrue((self.out / 'a.png').read_bytes().startswith(b'\x89PNG'))
         self.assertIn('our own share', done.stdout)
 
+    def test_a_recorded_sequence_is_flown_and_its_poses_go_on_the_bus(self):
+        made = run(GODWIT, 'sim', 'street', '--frames', 45, '--out', self.out / 'recorded')
+        self.assertEqual(made.returncode, 0, made.stderr)
+        done = run(LATENCY, self.out / 'recorded', '--seconds', 4, '--detector', 'off', '--can', 'multicast:9:127.0.0.1',
+                   '--json', self.out / 'bus.json')
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        figures = json.loads((self.out / 'bus.json').read_text())
+        self.validator.validate(figures)
+        self.assertEqual(figures['input'], str(self.out / 'recorded'))
+        flight = figures['flights'][0]
+        self.assertEqual(flight['frames']['due'], 120)
+        self.assertIn('gw-link', [t['name'] for t in flight['threads']])
+        # On a machine that others use there may be no pose.
+        if flight['frames']['tracked'] > 20:
+            self.assertGreater(flight['age_at_bus_ms']['samples'], 0)
+            self.assertGreaterEqual(flight['age_at_bus_ms']['median'], flight['age_at_pose_ms']['median'])
+
     def test_summary_keeps_the_schema(self):
         done = run(GODWIT, 'fly', 'street', '--frames', 3, '--out', self.out / 'fly')
         self.assertEqual(done.returncode, 0, done.stderr)
@@ -222,9 +239,30 @@ class Latency(unittest.TestCase):
             self.assertIn('warning: ' + refused, done.stdout)
 
     def test_wrong_options(self):
-        for words in (['--seconds', '0'], ['--pairs', '1'], ['--detector', 'maybe'], ['--compare', 'one']):
+        for words in (['--seconds', '0'], ['--pairs', '1'], ['--detector', 'maybe'], ['--compare', 'one'],
+                      ['--seconds', 'nan'], ['--fps', 'inf'], ['--exposure-ms', 'nan'], ['--readout-ms', '-1'],
+                      ['--seed', '-5'], ['--pictures', '1e3'], ['--compare', 'a.toml', 'b.toml', '--plot', 'p.png']):
             done = run(LATENCY, 'street', *words)
             self.assertEqual(done.returncode, 2, words)
+            self.assertIn(words[0], done.stderr)
+
+    def test_pictures_that_have_no_room_are_told_before_they_are_drawn(self):
+        done = run(LATENCY, 'street', '--pictures', 1000000000, '--seconds', 86400, '--fps', 240)
+        self.assertEqual(done.returncode, 2)
+        self.assertRegex(done.stderr, r'--pictures: 20736000 pictures need \d+ MB, and \d+ MB of memory are free; hold fewer')
+        # No more than are flown: a second of them has room.
+        done = run(LATENCY, 'street', '--pictures', 1000000000, '--seconds', 1, '--detector', 'off', '--quiet')
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        self.assertNotIn('--pictures', done.stderr)
+
+    def test_an_output_that_is_no_file_is_told_before_flying(self):
+        pipe = self.out / 'pipe'
+        os.mkfifo(pipe)
+        for name, why in ((pipe, 'is no plain file'), ('/dev/stdout', 'is no plain file'), (self.out, 'is a folder')):
+            done = run(LATENCY, *SHORT, '--json', name)
+            self.assertEqual(done.returncode, 2)
+            self.assertIn(f'{name}: {why}', done.stderr)
+        self.assertTrue(pipe.is_fifo())
 
 
 if __name__ == '__main__':

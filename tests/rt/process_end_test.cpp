@@ -72,6 +72,24 @@ TEST_F(ProcessEnd, WhoIsWaitedForIsNotLeftBehindBeforeItsTime) {
   EXPECT_FALSE(thread_.running());
 }
 
+// A recording's writers at a slow card: 128 pictures wait, and took longer than any thread's end was waited for.
+TEST_F(ProcessEnd, WhoGetsSomethingDoneIsWaitedForLongerThanItsPatience) {
+  std::atomic<std::uint64_t> done{0};
+  ASSERT_TRUE(thread_.start("gw-slow", {}, [&] {
+    for (; done < 40; ++done) sleep_until_ns(monotonic_now_ns() + 50 * kNsPerMs);
+  }));
+  join_as_it_works(
+      &thread_, [&] { return done.load(); }, kNsPerSecond, abandon());
+  EXPECT_TRUE(abandoned_.empty());
+  EXPECT_EQ(done, 40u);
+  start_hanging("gw-stands");
+  const TimeNs begin_ns = monotonic_now_ns();
+  join_as_it_works(
+      &thread_, [&] { return done.load(); }, 100 * kNsPerMs, abandon());
+  EXPECT_EQ(abandoned_, std::vector<std::string>{"gw-stands"});
+  EXPECT_GE(monotonic_now_ns() - begin_ns, 100 * kNsPerMs);
+}
+
 TEST_F(ProcessEnd, AThreadOfWhichNobodyIsToldIsForTheProgramsWord) {
   abandon_threads_by(abandon());
   begin_process_end();

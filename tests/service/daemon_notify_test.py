@@ -1,5 +1,5 @@
 """godwitd as systemd sees it: ready without its recording, alive while its threads live, flying when the recording comes;
-no sign of life while camera, tracker, mapper or link is held, but while the detector is.
+no sign of life while camera, tracker, mapper or link is held, but while the detector is; and by a thread that touches no file.
 
   daemon_notify_test.py GODWIT GODWITD SCENARIO FREEZE_THREAD
 """
@@ -46,6 +46,15 @@ class Manager:
                 self.socket.recv(4096)
         except BlockingIOError:
             pass
+
+
+def watchdogs_files(process):
+    """What the thread that feeds the watchdog read from and wrote to files and pipes (a socket's messages do not count)."""
+    for task in pathlib.Path(f'/proc/{process}/task').iterdir():
+        if (task / 'comm').read_text() == 'gw-watchdog\n':
+            told = dict(line.split(': ') for line in (task / 'io').read_text().splitlines())
+            return {key: int(told[key]) for key in ('rchar', 'wchar', 'syscr', 'syscw')}
+    fail('no thread gw-watchdog')
 
 
 def heard_while_held(manager, process, thread):
@@ -97,6 +106,7 @@ def main():
                     fail('the recording came, and the threads do not run')
                 if manager.hear('WATCHDOG=1', 10) is None:
                     fail('no sign of life in flight')
+                files_before = watchdogs_files(daemon.pid)
                 # A process that stands gives no sign of life.
                 daemon.send_signal(signal.SIGSTOP)
                 time.sleep(0.2)
@@ -111,6 +121,9 @@ def main():
                         fail(f'a sign of life while {thread} hangs')
                 if not heard_while_held(manager, daemon.pid, 'gw-detector'):
                     fail('no sign of life while the detector hangs: it is to be shed, and no reason to end')
+                # A disc or a log that stands must not take the signs of life with it.
+                if (files := watchdogs_files(daemon.pid)) != files_before:
+                    fail(f'the thread that feeds the watchdog uses files: {files_before} became {files}')
                 daemon.send_signal(signal.SIGTERM)
                 if manager.hear('STOPPING=1', 10) is None:
                     fail('it does not say that it stops')

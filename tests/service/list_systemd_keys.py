@@ -1,13 +1,15 @@
 #!/usr/bin/python3
 """Prints the keys of services that systemd VERSION knows, out of what a newer systemd's Debian package says of itself.
 
-  list_systemd_keys.py VERSION > tests/service/systemd_VERSION_keys.txt
+  list_systemd_keys.py VERSION OLDER > tests/service/systemd_VERSION_keys.txt
 
-All keys that this machine's systemd knows (systemd --dump-configuration-items), less those of which its NEWS
-(/usr/share/doc/systemd/NEWS.gz) speaks under a later version and under none up to VERSION. That leaves out rather too many
-keys than too few; OLD brings back old ones of which NEWS speaks late.
+OLDER: /lib/systemd/systemd out of a package between VERSION and this machine's, for 245 that of Debian 11 (247):
+apt-get download, dpkg-deb -x. All keys that this machine's systemd knows (systemd --dump-configuration-items), less those of which its NEWS
+(/usr/share/doc/systemd/NEWS.gz) speaks under a later version and under none up to VERSION, and those that OLDER does not have: of some,
+NEWS never speaks. That leaves out rather too many keys than too few; OLD brings back old ones of which NEWS speaks late.
 """
 import gzip
+import pathlib
 import re
 import subprocess
 import sys
@@ -21,6 +23,10 @@ WantedBy'''.split())
 
 def main():
     version = int(sys.argv[1])
+    # Its table of keys: "Service.User" and the like, between zeros. Of [Install] it has another one.
+    older = set(re.findall(rb'\0((?:Unit|Service)\.[A-Za-z0-9]+)(?=\0)', pathlib.Path(sys.argv[2]).read_bytes()))
+    if b'Service.User' not in older:
+        sys.exit(f'{sys.argv[2]} is no systemd')
     parts = re.split(r'^CHANGES WITH (\d+)[^\n]*:\n', gzip.open(NEWS, 'rt').read(), flags=re.M)
     told = {True: '', False: ''}
     for number, text in zip(parts[1::2], parts[2::2]):
@@ -40,7 +46,8 @@ def main():
         if section not in ('[Unit]', '[Service]', '[Install]') or not re.fullmatch(r'\w+', key) or '=' not in line:
             continue
         of_later, of_earlier = (re.search(rf'(?<!\w){key}=', told[later]) for later in (True, False))
-        if not of_later or of_earlier or key in OLD:
+        in_older = section == '[Install]' or f'{section[1:-1]}.{key}'.encode() in older
+        if in_older and (not of_later or of_earlier or key in OLD):
             print(key)
 
 

@@ -40,6 +40,14 @@ def keys_of(text):
     return found
 
 
+# What the daemon and whoever flies it count on.
+PROMISED = {
+    'Type': 'notify', 'NotifyAccess': 'main', 'Restart': 'on-failure', 'RestartForceExitStatus': '75', 'RestartPreventExitStatus': '2',
+    'TimeoutStopSec': '5', 'StartLimitIntervalSec': '0', 'StateDirectory': 'godwit', 'LimitRTPRIO': '98', 'LimitMEMLOCK': 'infinity',
+    'OOMScoreAdjust': '-900', 'User': 'godwit', 'WatchdogSec': '2',
+}
+
+
 def main():
     if shutil.which('systemd-analyze') is None:
         print('SKIPPED: systemd-analyze is not there')
@@ -49,11 +57,16 @@ def main():
     used = set(keys_of(text))
     if used - known:
         fail(f'systemd 245 does not know {sorted(used - known)}')
-    # ProtectClock came with 245, ProtectProc with 247, ExitType with 250.
-    if ('[Service]', 'ProtectClock') not in known or {('[Service]', 'ProtectProc'), ('[Service]', 'ExitType')} & known:
+    # ProtectClock came with 245, ProtectProc with 247, OnSuccessJobMode with 249, ExitType and ConditionCPUPressure with 250.
+    later = {('[Service]', 'ProtectProc'), ('[Service]', 'ExitType'), ('[Unit]', 'OnSuccessJobMode'), ('[Unit]', 'ConditionCPUPressure')}
+    if ('[Service]', 'ProtectClock') not in known or later & known:
         fail(f'{KEYS.name} is not the list of systemd 245')
     if len(used) < 40:
         fail(f'only {len(used)} keys found: is this the unit?')
+    values = dict(re.findall(r'^(\w+)=(.*)$', text, re.M))
+    for key, value in PROMISED.items():
+        if values.get(key) != value:
+            fail(f'{key}={values.get(key)} instead of {value}')
     with tempfile.TemporaryDirectory(prefix='godwit_unit.') as folder:
         # The program need not be installed where the unit will look for it.
         unit = pathlib.Path(folder) / 'godwitd.service'

@@ -195,7 +195,7 @@ void unplugged(const V4l2Settings& settings, const std::string& ctl) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 3) return std::puts("godwit_v4l2_check DEVICE FRAMES|exposure"), 2;
+  if (argc != 3 && argc != 4) return std::puts("godwit_v4l2_check DEVICE FRAMES|exposure|formats FRAMES"), 2;
   V4l2Settings settings;
   settings.device = argv[1];
   settings.width = 640;
@@ -205,6 +205,10 @@ int main(int argc, char** argv) {
   const std::string ctl = std::string("v4l2-ctl -d ") + argv[1] + " -c ";
   if (std::string(argv[2]) == "exposure") {
     automatic_exposure(settings, ctl);
+    return failures == 0 ? 0 : 1;
+  }
+  if (std::string(argv[2]) == "formats") {
+    formats(settings, std::atoi(argc > 3 ? argv[3] : ""));
     return failures == 0 ? 0 : 1;
   }
   formats(settings, std::atoi(argv[2]));

@@ -2,8 +2,12 @@
 
 #include <csetjmp>
 #include <cstdio>
+#include <cstring>
 // libjpeg's header needs FILE and size_t before it.
 #include <jpeglib.h>
+
+#include "hal/camera/pixels/rgb_rows.h"
+#include "hal/camera/pixels/yuv_rows.h"
 
 namespace godwit::hal {
 
@@ -15,6 +19,11 @@ struct JpegDecoder::Jpeg {
 
   /// The part that libjpeg may jump out of. Returns as JpegDecoder::decode does.
   const char* decode(const std::uint8_t* data, std::size_t bytes, const rt::MutableImageView& grey, std::uint8_t* bgr);
+
+ private:
+  bool shares_chroma_as_cameras_do() const;
+  void decode_planes(const rt::MutableImageView& grey, std::uint8_t* bgr);
+  void decode_rows(const rt::MutableImageView& grey, std::uint8_t* bgr);
 };
 
 namespace {
@@ -29,11 +38,6 @@ void on_message(j_common_ptr info, int level) {
 }
 
 void on_output(j_common_ptr /*info*/) {}
-
-/// BT.601 in 1/256, as the usual conversions round.
-std::uint8_t luma(const std::uint8_t* bgr) {
-  return static_cast<std::uint8_t>((29 * bgr[0] + 150 * bgr[1] + 77 * bgr[2] + 128) >> 8);
-}
 
 }  // namespace
 
@@ -50,6 +54,53 @@ JpegDecoder::~JpegDecoder() {
   jpeg_destroy_decompress(&jpeg_->cinfo);
 }
 
+/// YCbCr, a pair of pixels with one chroma (4:2:2), or two rows of them (4:2:0).
+bool JpegDecoder::Jpeg::shares_chroma_as_cameras_do() const {
+  if (cinfo.jpeg_color_space != JCS_YCbCr || cinfo.num_components != 3) return false;
+  const jpeg_component_info* const c = cinfo.comp_info;
+  const auto single = [](const jpeg_component_info& i) { return i.h_samp_factor == 1 && i.v_samp_factor == 1; };
+  return c[0].h_samp_factor == 2 && c[0].v_samp_factor <= 2 && single(c[1]) && single(c[2]);
+}
+
+/// The planes as they are coded, a row of blocks after the other: the luma is grey already, and the colours come from
+/// rows that are still in the processor's cache. libjpeg's own way smooths the chroma first, and the luma would have to
+/// be reckoned back out of the colours: twice the time.
+void JpegDecoder::Jpeg::decode_planes(const rt::MutableImageView& grey, std::uint8_t* bgr) {
+  cinfo.raw_data_out = TRUE;
+  cinfo.out_color_space = JCS_YCbCr;
+  jpeg_start_decompress(&cinfo);
+  const int rows_a_chroma = cinfo.comp_info[0].v_samp_factor, rows = rows_a_chroma * DCTSIZE;
+  // Whole blocks: libjpeg writes beyond the picture's edge.
+  const auto blocks = (cinfo.image_width + 2 * DCTSIZE - 1) / (2 * DCTSIZE);
+  JSAMPARRAY planes[3];
+  for (int i = 0; i < 3; ++i) {
+    planes[i] =
+        cinfo.mem->alloc_sarray(reinterpret_cast<j_common_ptr>(&cinfo), JPOOL_IMAGE,
+                                blocks * DCTSIZE * (i == 0 ? 2 : 1), static_cast<JDIMENSION>(i == 0 ? rows : DCTSIZE));
+  }
+  for (int top = 0; top < grey.height; top += rows) {
+    jpeg_read_raw_data(&cinfo, planes, static_cast<JDIMENSION>(rows));
+    for (int i = 0; i < rows && top + i < grey.height; ++i) {
+      const std::uint8_t* const luma = planes[0][i];
+      std::memcpy(grey.row(top + i), luma, static_cast<std::size_t>(grey.width));
+      jpeg_row(luma, planes[1][i / rows_a_chroma], planes[2][i / rows_a_chroma], grey.width,
+               bgr + static_cast<std::ptrdiff_t>(top + i) * grey.width * 3);
+    }
+  }
+}
+
+/// Any JPEG, as libjpeg turns it into grey or colours.
+void JpegDecoder::Jpeg::decode_rows(const rt::MutableImageView& grey, std::uint8_t* bgr) {
+  cinfo.out_color_space = bgr != nullptr ? JCS_EXT_BGR : JCS_GRAYSCALE;
+  jpeg_start_decompress(&cinfo);
+  while (cinfo.output_scanline < cinfo.output_height) {
+    const int y = static_cast<int>(cinfo.output_scanline);
+    JSAMPROW row = bgr != nullptr ? bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3 : grey.row(y);
+    jpeg_read_scanlines(&cinfo, &row, 1);
+    if (bgr != nullptr) rgb_row(row, grey.width, false, grey.row(y), nullptr);
+  }
+}
+
 const char* JpegDecoder::Jpeg::decode(const std::uint8_t* data, std::size_t bytes, const rt::MutableImageView& grey,
                                       std::uint8_t* bgr) {
   if (setjmp(leave) != 0) return "not a JPEG, or a broken one";
@@ -59,16 +110,11 @@ const char* JpegDecoder::Jpeg::decode(const std::uint8_t* data, std::size_t byte
   if (static_cast<int>(cinfo.image_width) != grey.width || static_cast<int>(cinfo.image_height) != grey.height) {
     return "the JPEG has another size than the device said";
   }
-  cinfo.out_color_space = bgr != nullptr ? JCS_EXT_BGR : JCS_GRAYSCALE;
   cinfo.dct_method = JDCT_ISLOW;
-  jpeg_start_decompress(&cinfo);
-  while (cinfo.output_scanline < cinfo.output_height) {
-    const int y = static_cast<int>(cinfo.output_scanline);
-    JSAMPROW row = bgr != nullptr ? bgr + static_cast<std::ptrdiff_t>(y) * grey.width * 3 : grey.row(y);
-    jpeg_read_scanlines(&cinfo, &row, 1);
-    if (bgr == nullptr) continue;
-    std::uint8_t* const to = grey.row(y);
-    for (int x = 0; x < grey.width; ++x) to[x] = luma(row + 3 * static_cast<std::ptrdiff_t>(x));
+  if (bgr != nullptr && shares_chroma_as_cameras_do()) {
+    decode_planes(grey, bgr);
+  } else {
+    decode_rows(grey, bgr);
   }
   jpeg_finish_decompress(&cinfo);
   return errors.num_warnings > 0 ? "the JPEG is cut off or damaged" : nullptr;

@@ -27,27 +27,60 @@ std::uint8_t saturated(int value) {
   return static_cast<std::uint8_t>(std::clamp(value, 0, 255));
 }
 
-/// Of pixels at even and at odd places, which share their chroma. As bgr_of_yuv to the bit: whole 256ths are taken out
-/// of the factors (298 = 256 + 42, 516 = 512 + 4, 208 = 256 - 48, 409 = 256 + 153), and what is left fits 16 bits.
+/// What chroma adds to a luma: whole steps, and 256ths.
+template <typename V>
+struct Chroma {
+  V blue, green, red, blue_rest, green_rest, red_rest;
+};
+/// A luma that chroma is added to, likewise.
+template <typename V>
+struct Luma {
+  V whole, rest;
+};
+
+using Wide = hn::Vec<Shorts>;
+
+Wide times(Wide x, std::int16_t factor) {
+  return hn::Mul(x, hn::Set(Shorts(), factor));
+}
+Wide from_middle(Pixels chroma) {
+  return hn::Sub(hn::PromoteTo(Shorts(), chroma), hn::Set(Shorts(), 128));
+}
+
+/// As bgr_of_yuv to the bit: whole 256ths are taken out of the factors (298 = 256 + 42, 516 = 512 + 4, 208 = 256 - 48,
+/// 409 = 256 + 153), and what is left fits 16 bits.
+struct LimitedRange {
+  static Chroma<Wide> chroma(Wide d, Wide e) {
+    return {hn::Add(d, d), hn::Neg(e), e, times(d, 4), hn::Sub(times(e, 48), times(d, 100)), times(e, 153)};
+  }
+  static Luma<Wide> luma(Wide y) {
+    const Wide above = hn::Max(hn::Sub(y, hn::Set(Shorts(), 16)), hn::Zero(Shorts()));
+    return {above, hn::Add(times(above, 42), hn::Set(Shorts(), 128))};
+  }
+};
+/// As bgr_of_jpeg: 454 = 512 - 58, 183 = 256 - 73, 359 = 256 + 103.
+struct FullRange {
+  static Chroma<Wide> chroma(Wide d, Wide e) {
+    return {hn::Add(d, d), hn::Neg(e), e, times(d, -58), hn::Sub(times(e, 73), times(d, 88)), times(e, 103)};
+  }
+  static Luma<Wide> luma(Wide y) { return {y, hn::Set(Shorts(), 128)}; }
+};
+
+/// Of pixels at even and at odd places, which share their chroma.
+template <typename Range>
 void colours(Pixels even, Pixels odd, Pixels u, Pixels v, std::size_t at, Planes* to) {
-  const Shorts wide;
   const HalfBytes narrow;
-  const auto times = [&](auto x, std::int16_t factor) { return hn::Mul(x, hn::Set(wide, factor)); };
-  const auto d = hn::Sub(hn::PromoteTo(wide, u), hn::Set(wide, 128));
-  const auto e = hn::Sub(hn::PromoteTo(wide, v), hn::Set(wide, 128));
-  const auto blue = hn::Add(d, d), blue_rest = times(d, 4), red_rest = times(e, 153);
-  const auto green_rest = hn::Sub(times(e, 48), times(d, 100));
+  const Chroma<Wide> c = Range::chroma(from_middle(u), from_middle(v));
   struct Colours {
     Pixels blue, green, red;
   };
   const auto of = [&](Pixels luma) {
-    const auto y = hn::Max(hn::Sub(hn::PromoteTo(wide, luma), hn::Set(wide, 16)), hn::Zero(wide));
-    const auto rest = hn::Add(times(y, 42), hn::Set(wide, 128));
+    const Luma<Wide> y = Range::luma(hn::PromoteTo(Shorts(), luma));
     // Demoting saturates.
-    const auto sum = [&](auto whole, auto more) {
-      return hn::DemoteTo(narrow, hn::Add(hn::Add(y, whole), hn::ShiftRight<8>(hn::Add(rest, more))));
+    const auto sum = [&](Wide whole, Wide more) {
+      return hn::DemoteTo(narrow, hn::Add(hn::Add(y.whole, whole), hn::ShiftRight<8>(hn::Add(y.rest, more))));
     };
-    return Colours{sum(blue, blue_rest), sum(hn::Neg(e), green_rest), sum(e, red_rest)};
+    return Colours{sum(c.blue, c.blue_rest), sum(c.green, c.green_rest), sum(c.red, c.red_rest)};
   };
   const Colours a = of(even), b = of(odd);
   hn::StoreInterleaved2(a.blue, b.blue, narrow, to->blue.data() + at);
@@ -70,7 +103,7 @@ void put_together(const Planes& p, std::size_t count, std::uint8_t* bgr) {
 }
 
 /// read(x, ..): luma at even and odd places, U and V from pixel x on; scalar(x): one pair of pixels.
-template <typename Read, typename Pair>
+template <typename Range, typename Read, typename Pair>
 void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
   const std::size_t step = 2 * hn::Lanes(HalfBytes());
   Planes planes;
@@ -80,7 +113,7 @@ void row(std::size_t width, std::uint8_t* bgr, Read read, Pair pair) {
     for (; x + step <= width && x + step - begin <= kRun; x += step) {
       Pixels even, odd, u, v;
       read(x, even, odd, u, v);
-      colours(even, odd, u, v, x - begin, &planes);
+      colours<Range>(even, odd, u, v, x - begin, &planes);
     }
     put_together(planes, x - begin, bgr + 3 * begin);
   }
@@ -96,6 +129,13 @@ void bgr_of_yuv(int y, int u, int v, std::uint8_t* to) {
   to[2] = saturated((c + 409 * e) >> 8);
 }
 
+void bgr_of_jpeg(int y, int cb, int cr, std::uint8_t* to) {
+  const int d = cb - 128, e = cr - 128;
+  to[0] = saturated(y + ((454 * d + 128) >> 8));
+  to[1] = saturated(y + ((128 - 88 * d - 183 * e) >> 8));
+  to[2] = saturated(y + ((359 * e + 128) >> 8));
+}
+
 void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint8_t* bgr) {
   const auto w = static_cast<std::size_t>(width);
   const Bytes bytes;
@@ -108,7 +148,7 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
   }
   for (; x < w; ++x) grey[x] = from[2 * x];
   if (bgr == nullptr) return;
-  row(
+  row<LimitedRange>(
       w, bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
         hn::LoadInterleaved4(HalfBytes(), from + 2 * at, even, u, odd, v);
@@ -121,7 +161,7 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
 }
 
 void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, std::uint8_t* bgr) {
-  row(
+  row<LimitedRange>(
       static_cast<std::size_t>(width), bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
         hn::LoadInterleaved2(HalfBytes(), luma + at, even, odd);
@@ -131,6 +171,22 @@ void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, s
         bgr_of_yuv(luma[at], chroma[at], chroma[at + 1], bgr + 3 * at);
         bgr_of_yuv(luma[at + 1], chroma[at], chroma[at + 1], bgr + 3 * at + 3);
       });
+}
+
+void jpeg_row(const std::uint8_t* luma, const std::uint8_t* cb, const std::uint8_t* cr, int width, std::uint8_t* bgr) {
+  const auto w = static_cast<std::size_t>(width);
+  row<FullRange>(
+      w, bgr,
+      [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
+        hn::LoadInterleaved2(HalfBytes(), luma + at, even, odd);
+        u = hn::LoadU(HalfBytes(), cb + at / 2);
+        v = hn::LoadU(HalfBytes(), cr + at / 2);
+      },
+      [&](std::size_t at) {
+        bgr_of_jpeg(luma[at], cb[at / 2], cr[at / 2], bgr + 3 * at);
+        bgr_of_jpeg(luma[at + 1], cb[at / 2], cr[at / 2], bgr + 3 * at + 3);
+      });
+  if (w % 2 != 0) bgr_of_jpeg(luma[w - 1], cb[w / 2], cr[w / 2], bgr + 3 * (w - 1));
 }
 
 }  // namespace godwit::hal

@@ -15,4 +15,11 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
 /// even.
 void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, std::uint8_t* bgr);
 
+/// As bgr_of_yuv, full range (JFIF).
+void bgr_of_jpeg(int y, int cb, int cr, std::uint8_t* to);
+
+/// A row of luma and its chroma in planes of their own, one of each for two pixels, full range (JFIF), into 3 * width
+/// bytes.
+void jpeg_row(const std::uint8_t* luma, const std::uint8_t* cb, const std::uint8_t* cr, int width, std::uint8_t* bgr);
+
 }  // namespace godwit::hal
