@@ -267,10 +267,10 @@ TEST(Godwitd, AFlightLogThatCannotBeWrittenGroundsNobody) {
 TEST(Godwitd, AnEventRecorderWithoutMemoryGroundsNobody) {
   const test::TempFolder folder;
   // 121 s of pictures are 1.1 GB, which is more than all that it may have; without them it needs some 300 MB.
-  Daemon daemon(write_config(folder, kSmallFlight + "[detector]\nenabled = false\n[recorder]\nfolder = \"" +
-                                         (folder / "events") +
-                                         "\"\nbefore_s = 60\nafter_s = 60\nmemory_mb = 2000\nbudget_mb = 2000\n"),
-                false, Daemon::Log::kRead, 1'000'000'000);
+  Daemon daemon(
+      write_config(folder, kSmallFlight + "[detector]\nenabled = false\n[recorder]\nfolder = \"" + (folder / "events") +
+                               "\"\nbefore_s = 60\nafter_s = 60\nmemory_mb = 2000\nbudget_mb = 2000\n"),
+      false, Daemon::Log::kRead, 1'000'000'000);
   ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
   EXPECT_THAT(daemon.all(), testing::ContainsRegex("warning: event recorder: no memory for .*; it flies without"));
   rt::TimeNs took = 0;

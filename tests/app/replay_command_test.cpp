@@ -81,9 +81,9 @@ TEST_F(Replay, TellsTheStateAndWhyInTheLog) {
 TEST_F(Replay, WhateverBecomesOfItsLogItFliesToItsEnd) {
   const std::string code = folder_ / "code";
   const std::string flown = "'" GODWIT_TOOL "' replay '" + sequence() + "' --pace real --out '" + out() + "' ";
-  for (const std::string& command : {flown + ">/dev/null 2>&-; echo $? >'" + code + "'",
-                                     flown + ">/dev/null 2>/dev/full; echo $? >'" + code + "'",
-                                     "{ " + flown + "2>&1 >/dev/null; echo $? >'" + code + "'; } | true"}) {
+  for (const std::string& command :
+       {flown + ">/dev/null 2>&-; echo $? >'" + code + "'", flown + ">/dev/null 2>/dev/full; echo $? >'" + code + "'",
+        "{ " + flown + "2>&1 >/dev/null; echo $? >'" + code + "'; } | true"}) {
     fs::remove_all(out());
     run_command("{ " + command + "; }");
     EXPECT_EQ(read_file(code), "0\n") << command;
