@@ -79,7 +79,11 @@ rt::Result<std::string> sha256_of_file(const std::string& path) {
   if (fd < 0) return rt::Error{path + ": " + std::strerror(errno)};
   struct stat about {};
   std::string why;
-  if (fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "no plain file";
+  if (fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) {
+    why = "no plain file";
+  } else if (about.st_size > kMostNetworkBytes) {
+    why = "larger than " + std::to_string(kMostNetworkBytes >> 20) + " MiB, no network";
+  }
   Sha256 sum;
   std::vector<std::uint8_t> block(1 << 16);
   ssize_t n = why.empty() ? 1 : 0;

@@ -195,14 +195,9 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   options.also_stop = &stop;
   // Before memory is locked: its thread and its buffers belong to what is there.
   const std::unique_ptr<FlightLog> flight_log = begin_flight_log(config, say);
-  std::unique_ptr<EventRecorder> recorder;
-  if (!events.empty()) {
-    auto started = start_recorder(config, events, calibration, parts.pool.get(), true, say, abandon);
-    if (!started) return give_up(started.error().message);
-    recorder = std::move(started).value();
-    options.onlooker = recorder->onlooker();
-    say("event recorder: " + recorder->description() + "; " + events);
-  }
+  const std::unique_ptr<EventRecorder> recorder =
+      begin_recorder(config, events, calibration, parts.pool.get(), say, abandon);
+  if (recorder != nullptr) options.onlooker = recorder->onlooker();
   const hal::MachineMonitor live_machine;  // one thread reads each
   const auto quality = [autopilot] { return autopilot->quality(); };
   Live live{LiveStatus({version_words(version()), autopilot != nullptr ? std::function<int()>(quality) : nullptr,

@@ -36,6 +36,20 @@ rt::Result<std::unique_ptr<EventRecorder>> start_recorder(const Config& config, 
   return EventRecorder::start(std::move(options), pool);
 }
 
+std::unique_ptr<EventRecorder> begin_recorder(const Config& config, const std::string& folder,
+                                              const hal::CameraCalibration& calibration, rt::FramePool* pool,
+                                              const std::function<void(const std::string&)>& say,
+                                              std::function<void(const char*)> abandon) {
+  if (folder.empty()) return nullptr;
+  auto started = start_recorder(config, folder, calibration, pool, true, say, std::move(abandon));
+  if (!started) {
+    say("warning: " + started.error().message + "; it flies without");
+    return nullptr;
+  }
+  say("event recorder: " + started.value()->description() + "; " + folder);
+  return std::move(started).value();
+}
+
 std::string recorder_words(const EventReport& r) {
   return fmt::format("{} events written, {} not, {} beyond the limit; {} pictures and {} readings missed{}", r.written,
                      r.failed, r.suppressed, r.pictures_missed, r.samples_missed,

@@ -23,6 +23,12 @@ rt::Result<std::unique_ptr<EventRecorder>> start_recorder(const Config& config, 
                                                           std::function<void(const std::string&)> say,
                                                           std::function<void(const char*)> abandon);
 
+/// godwitd's: null where the folder is empty, and where it cannot be had, which is told: that grounds nobody.
+std::unique_ptr<EventRecorder> begin_recorder(const Config& config, const std::string& folder,
+                                              const hal::CameraCalibration& calibration, rt::FramePool* pool,
+                                              const std::function<void(const std::string&)>& say,
+                                              std::function<void(const char*)> abandon);
+
 /// "2 events written, 0 not, ..": no word that a look for trouble in the journal would find.
 std::string recorder_words(const EventReport& report);
 

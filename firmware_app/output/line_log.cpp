@@ -2,8 +2,6 @@
 
 #include <atomic>
 #include <cerrno>
-#include <chrono>
-#include <condition_variable>
 #include <csignal>
 #include <cstdio>
 #include <deque>
@@ -14,27 +12,47 @@
 #include <thread>
 #include <unistd.h>
 
+#include "hal/rt/wake_up.h"
+
 namespace godwit::app {
 namespace {
 constexpr std::size_t kMostLines = 1000;
 /// A stream set not to block is tried again so often.
 constexpr int kRetryMs = 100;
+/// Longest sleep of the writer; only a safety net, every line is followed by a wake-up call.
+constexpr rt::TimeNs kSleepNs = rt::kNsPerSecond;
+/// Who holds the lines does so for a moment. One who stands meanwhile costs the others no more than this.
+constexpr rt::TimeNs kLockPatienceNs = 100 * rt::kNsPerMs;
+constexpr rt::TimeNs kLookNs = rt::kNsPerMs;
+
+/// Tried for kLockPatienceNs; owns_lock() says whether it was had. A plain lock would wait for whoever stands with it,
+/// and so does a condition variable, on whose signal a waiter that was woken before must first have left it.
+std::unique_lock<std::mutex> lock_in_time(std::mutex* mutex) {
+  std::unique_lock<std::mutex> lock(*mutex, std::try_to_lock);
+  const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + kLockPatienceNs;
+  while (!lock.owns_lock() && rt::monotonic_now_ns() < give_up_ns) {
+    rt::sleep_until_ns(rt::monotonic_now_ns() + kLookNs / 10);
+    static_cast<void>(lock.try_lock());
+  }
+  return lock;
+}
 }  // namespace
 
 struct LineLog::State {
   explicit State(int descriptor) : fd(descriptor) {}
   const int fd;
   std::mutex mutex;
-  std::condition_variable change;  // lines came, or were written, or it ends
-  std::deque<std::string> lines;
-  std::atomic<std::uint64_t> lost{0};  // also counted where the mutex cannot be had; a number alone
-  std::uint64_t told_lost = 0;
-  bool writing = false;
-  bool ending = false;
-  bool has_thread = false;
+  std::deque<std::string> lines;  // under mutex
+  bool writing = false;           // under mutex
+  bool has_thread = false;        // before anybody else knows of this
+  rt::WakeUp wake;                // lines came, or it ends
+  // Numbers and a flag alone; nothing is ordered by them.
+  std::atomic<std::uint64_t> lost{0};
+  std::atomic<bool> ending{false};
+  std::uint64_t told_lost = 0;  // the thread's own
 
   /// False: the stream failed.
-  bool write_all(std::string_view text) {
+  bool write_all(std::string_view text) const {
     std::size_t done = 0;
     while (done < text.size()) {
       const ssize_t n = ::write(fd, text.data() + done, text.size() - done);
@@ -43,8 +61,7 @@ struct LineLog::State {
       } else if (n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) {
         pollfd room{fd, POLLOUT, 0};
         poll(&room, 1, kRetryMs);
-        const std::lock_guard<std::mutex> lock(mutex);
-        if (ending) return false;
+        if (ending.load(std::memory_order_relaxed)) return false;
       } else if (n == 0 || errno != EINTR) {
         return false;
       }
@@ -55,12 +72,16 @@ struct LineLog::State {
   void run() {
     std::unique_lock<std::mutex> lock(mutex);
     while (true) {
-      change.wait(lock, [this] { return ending || !lines.empty(); });
-      if (lines.empty()) return;
+      while (lines.empty()) {
+        if (ending.load(std::memory_order_relaxed)) return;
+        lock.unlock();
+        wake.wait_for(kSleepNs);
+        lock.lock();
+      }
       // Nothing here allocates: what is thrown on this thread ends the process.
       const std::string text = std::move(lines.front());
       lines.pop_front();
-      const std::uint64_t lost_now = lost;
+      const std::uint64_t lost_now = lost.load(std::memory_order_relaxed);
       char notice[96] = "";
       if (lost_now != told_lost) {
         std::snprintf(notice, sizeof notice, "%llu lines of the log were lost before this one\n",
@@ -74,9 +95,8 @@ struct LineLog::State {
       if (written) {
         told_lost = lost_now;
       } else {
-        ++lost;
+        lost.fetch_add(1, std::memory_order_relaxed);
       }
-      change.notify_all();
     }
   }
 };
@@ -99,46 +119,39 @@ LineLog::LineLog(int fd) : state_(std::make_shared<State>(fd)) {
 }
 
 LineLog::~LineLog() {
-  try {
-    const std::lock_guard<std::mutex> lock(state_->mutex);
-    state_->ending = true;
-    state_->change.notify_all();
-  } catch (const std::exception&) {
-  }
+  state_->ending.store(true, std::memory_order_relaxed);
+  state_->wake.post();
 }
 
 void LineLog::put(std::string line) noexcept {
   try {
     line += '\n';
-    const std::lock_guard<std::mutex> lock(state_->mutex);
-    if (!state_->has_thread || state_->lines.size() >= kMostLines) {
-      ++state_->lost;
+    const auto lock = lock_in_time(&state_->mutex);
+    if (lock.owns_lock() && state_->has_thread && state_->lines.size() < kMostLines) {
+      state_->lines.push_back(std::move(line));
+      state_->wake.post();
       return;
     }
-    state_->lines.push_back(std::move(line));
-    state_->change.notify_all();
-  } catch (const std::exception&) {
-    ++state_->lost;  // no memory
+  } catch (const std::exception&) {  // no memory
   }
+  state_->lost.fetch_add(1, std::memory_order_relaxed);
 }
 
 bool LineLog::flush(rt::TimeNs patience_ns) noexcept {
-  try {
-    std::unique_lock<std::mutex> lock(state_->mutex);
-    return state_->change.wait_for(lock, std::chrono::nanoseconds(patience_ns),
-                                   [this] { return state_->lines.empty() && !state_->writing; });
-  } catch (const std::exception&) {
-    return false;
+  const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + patience_ns;
+  while (true) {
+    try {
+      const auto lock = lock_in_time(&state_->mutex);
+      if (lock.owns_lock() && state_->lines.empty() && !state_->writing) return true;
+    } catch (const std::exception&) {
+    }
+    if (rt::monotonic_now_ns() >= give_up_ns) return false;
+    rt::sleep_until_ns(rt::monotonic_now_ns() + kLookNs);
   }
 }
 
 std::uint64_t LineLog::lost() const noexcept {
-  try {
-    const std::lock_guard<std::mutex> lock(state_->mutex);
-    return state_->lost;
-  } catch (const std::exception&) {
-    return 0;
-  }
+  return state_->lost.load(std::memory_order_relaxed);
 }
 
 LineLog& error_log() {

@@ -47,15 +47,19 @@ void become_nobody() {
 /// A running godwitd.
 class Daemon {
  public:
-  enum class Log { kRead, kClosed };
-  explicit Daemon(const std::string& config, bool as_nobody = false, Log log = Log::kRead) {
+  enum class Log { kRead, kClosed, kStuck };
+  explicit Daemon(const std::string& config, bool as_nobody = false, Log log = Log::kRead,
+                  rlim_t most_bytes = RLIM_INFINITY) {
     // Opened while we may: nobody need not find the way to the build folder.
     const int program = open(GODWIT_DAEMON, O_RDONLY | O_CLOEXEC);
     EXPECT_GE(program, 0);
     int ends[2] = {};
     EXPECT_EQ(pipe(ends), 0);
+    if (log == Log::kStuck) fill(ends[1]);
     pid_ = fork();
     if (pid_ == 0) {
+      const rlimit memory{most_bytes, most_bytes};
+      if (most_bytes != RLIM_INFINITY && setrlimit(RLIMIT_AS, &memory) != 0) _exit(126);
       dup2(ends[1], STDERR_FILENO);
       close(ends[0]);
       if (log == Log::kClosed) {
@@ -114,6 +118,15 @@ class Daemon {
   }
 
  private:
+  /// A pipe that takes nothing more.
+  static void fill(int end) {
+    const std::array<char, 4096> block{};
+    fcntl(end, F_SETFL, O_NONBLOCK);
+    while (write(end, block.data(), block.size()) > 0) {
+    }
+    fcntl(end, F_SETFL, 0);
+  }
+
   pid_t pid_ = -1;
   std::FILE* said_ = nullptr;
   std::string all_;
@@ -136,6 +149,7 @@ TEST(Godwitd, TheLogBeginsWithTheVersionAndArmedIsNotSaidWhereNothingIsLocked) {
   EXPECT_THAT(daemon.all().substr(0, daemon.all().find('\n')),
               testing::ContainsRegex("\\(commit ([0-9a-f]{12}(-dirty)?|unknown)\\)$"));
   EXPECT_THAT(daemon.all(), Not(HasSubstr("godwitd: armed")));
+  EXPECT_THAT(daemon.all(), testing::ContainsRegex("temperature: the hottest of |no thermal zone tells"));
   rt::TimeNs took = 0;
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
@@ -179,6 +193,25 @@ TEST(Godwitd, NobodyReadsTheLogAndItFliesOn) {
   rt::sleep_until_ns(rt::monotonic_now_ns() + 2 * rt::kNsPerSecond);
   rt::TimeNs took = 0;
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0) << "neither killed by a signal nor failed";
+}
+
+TEST(Godwitd, AStuckReaderOfTheLogHoldsUpNeitherFlightNorEnd) {
+  const test::TempFolder folder;
+  const std::string flights = folder / "flights";
+  Daemon daemon(write_config(folder, kSmallFlight + "[flight_log]\nfolder = \"" + flights + "\"\n"), false,
+                Daemon::Log::kStuck);
+  // What it flies is to be seen in its flight log alone.
+  const auto flown = [&] {
+    return std::filesystem::exists(flights + "/000001.ulg") &&
+           test::read_file(flights + "/000001.ulg").find("INITIALISING") != std::string::npos;
+  };
+  const rt::TimeNs give_up_ns = rt::monotonic_now_ns() + 60 * rt::kNsPerSecond;
+  while (!flown() && rt::monotonic_now_ns() < give_up_ns) {
+    rt::sleep_until_ns(rt::monotonic_now_ns() + 10 * rt::kNsPerMs);
+  }
+  EXPECT_TRUE(flown());
+  rt::TimeNs took = 0;  // the pipe is full until then
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
 
 // Whoever starts it may have closed them: what it says would go to the file that is opened first, or onto the bus.
@@ -229,6 +262,19 @@ TEST(Godwitd, AFlightLogThatCannotBeWrittenGroundsNobody) {
   rt::TimeNs took = 0;
   EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
   EXPECT_THAT(daemon.all(), HasSubstr("a file cannot be made"));
+}
+
+TEST(Godwitd, AnEventRecorderWithoutMemoryGroundsNobody) {
+  const test::TempFolder folder;
+  // 121 s of pictures are 1.1 GB, which is more than all that it may have; without them it needs some 300 MB.
+  Daemon daemon(
+      write_config(folder, kSmallFlight + "[detector]\nenabled = false\n[recorder]\nfolder = \"" + (folder / "events") +
+                               "\"\nbefore_s = 60\nafter_s = 60\nmemory_mb = 2000\nbudget_mb = 2000\n"),
+      false, Daemon::Log::kRead, 1'000'000'000);
+  ASSERT_TRUE(daemon.says("INITIALISING")) << daemon.all();
+  EXPECT_THAT(daemon.all(), testing::ContainsRegex("warning: event recorder: no memory for .*; it flies without"));
+  rt::TimeNs took = 0;
+  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
 }
 
 TEST(Godwitd, ATerminalThatClosesEndsNoFlight) {

@@ -1,12 +1,21 @@
 // A log whose reader is slow, stuck or gone.
 #include "firmware_app/output/line_log.h"
 
+#include <algorithm>
+#include <atomic>
 #include <csignal>
+#include <cstdlib>
 #include <fcntl.h>
+#include <filesystem>
+#include <fstream>
 #include <gtest/gtest.h>
 #include <pthread.h>
 #include <string>
+#include <sys/prctl.h>
+#include <sys/ptrace.h>
 #include <sys/resource.h>
+#include <sys/wait.h>
+#include <thread>
 #include <unistd.h>
 
 #include "hal/rt/wake_up.h"
@@ -32,6 +41,58 @@ struct Pipe {
   }
   int end[2] = {-1, -1};
 };
+
+/// A thread of this process that a debugger holds, as long as this lives.
+class HeldThread {
+ public:
+  explicit HeldThread(pid_t thread) {
+    int ends[2] = {};
+    if (pipe(ends) != 0) return;
+    child_ = fork();
+    if (child_ == 0) {
+      char go = 0;
+      if (read(ends[0], &go, 1) != 1) _exit(1);
+      const bool held = ptrace(PTRACE_SEIZE, thread, nullptr, nullptr) == 0 &&
+                        ptrace(PTRACE_INTERRUPT, thread, nullptr, nullptr) == 0 &&
+                        waitpid(thread, nullptr, __WALL) == thread;
+      if (!held) _exit(1);
+      kill(getpid(), SIGSTOP);  // tells who waits for it
+      _exit(0);
+    }
+    prctl(PR_SET_PTRACER, child_, 0, 0, 0);
+    if (write(ends[1], "x", 1) != 1) return;
+    close(ends[0]);
+    close(ends[1]);
+    int status = 0;
+    held_ = waitpid(child_, &status, WUNTRACED) == child_ && WIFSTOPPED(status);
+    if (!held_) child_ = -1;
+  }
+  ~HeldThread() { release(); }
+  HeldThread(const HeldThread&) = delete;
+  HeldThread& operator=(const HeldThread&) = delete;
+  void release() {
+    if (child_ < 0) return;
+    kill(child_, SIGKILL);
+    waitpid(child_, nullptr, 0);
+    child_ = -1;
+  }
+  bool held() const { return held_; }
+
+ private:
+  pid_t child_ = -1;
+  bool held_ = false;
+};
+
+/// The newest thread of this name; 0: there is none.
+pid_t newest_thread(const std::string& name) {
+  pid_t newest = 0;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string said;
+    std::getline(std::ifstream(task.path() / "comm"), said);
+    if (said == name) newest = std::max(newest, static_cast<pid_t>(std::stoi(task.path().filename())));
+  }
+  return newest;
+}
 
 TEST(LineLog, LinesComeWholeAndInOrder) {
   Pipe pipe;
@@ -104,6 +165,41 @@ TEST(LineLog, AHangingWriterIsLeftBehind) {
     pipe.read_some();
     rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
   }
+}
+
+// On a condition variable they would: its signal waits until a waiter that was woken before has left it.
+TEST(LineLog, AWriterThatStandsWherePeopleWaitHoldsNobodyUp) {
+  Pipe pipe;
+  LineLog log(pipe.end[1]);
+  log.put("before");
+  ASSERT_TRUE(log.flush(10 * rt::kNsPerSecond));
+  rt::sleep_until_ns(rt::monotonic_now_ns() + 100 * rt::kNsPerMs);  // it waits for the next line by now
+  HeldThread writer(newest_thread("gw-log"));
+  if (!writer.held()) {
+    const char* ci = std::getenv("CI");
+    if (ci != nullptr && std::string(ci) == "true") FAIL() << "no thread can be held here";
+    GTEST_SKIP() << "no thread can be held here";
+  }
+  log.put("wakes it, but it stands");
+  const rt::TimeNs begin_ns = rt::monotonic_now_ns();
+  std::thread end([&] { EXPECT_FALSE(log.flush(rt::kNsPerSecond)); });
+  rt::sleep_until_ns(begin_ns + 200 * rt::kNsPerMs);
+  std::thread another([&] { log.put("another"); });
+  std::atomic<bool> over{false};
+  std::thread at_last([&] {
+    while (!over.load() && rt::monotonic_now_ns() < begin_ns + 20 * rt::kNsPerSecond) {
+      rt::sleep_until_ns(rt::monotonic_now_ns() + 10 * rt::kNsPerMs);
+    }
+    writer.release();
+  });
+  another.join();
+  end.join();
+  const rt::TimeNs took_ns = rt::monotonic_now_ns() - begin_ns;
+  over.store(true);
+  at_last.join();
+  EXPECT_LT(took_ns, 15 * rt::kNsPerSecond);
+  EXPECT_TRUE(log.flush(10 * rt::kNsPerSecond));
+  EXPECT_EQ(log.lost(), 0u);
 }
 
 }  // namespace

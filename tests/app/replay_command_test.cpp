@@ -78,6 +78,19 @@ TEST_F(Replay, TellsTheStateAndWhyInTheLog) {
   }
 }
 
+TEST_F(Replay, WhateverBecomesOfItsLogItFliesToItsEnd) {
+  const std::string code = folder_ / "code";
+  const std::string flown = "'" GODWIT_TOOL "' replay '" + sequence() + "' --pace real --out '" + out() + "' ";
+  for (const std::string& command :
+       {flown + ">/dev/null 2>&-; echo $? >'" + code + "'", flown + ">/dev/null 2>/dev/full; echo $? >'" + code + "'",
+        "{ " + flown + "2>&1 >/dev/null; echo $? >'" + code + "'; } | true"}) {
+    fs::remove_all(out());
+    run_command("{ " + command + "; }");
+    EXPECT_EQ(read_file(code), "0\n") << command;
+    EXPECT_EQ(count_lines(out() + "/frames.csv"), 13u) << command;
+  }
+}
+
 TEST_F(Replay, WatchesTheImuBesideTheCamera) {
   EXPECT_THAT(replay("--imu watch").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
   EXPECT_THAT(replay("--imu on").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));

@@ -1,5 +1,6 @@
 #include "detector/sha256.h"
 
+#include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
 #include <sys/stat.h>
@@ -30,7 +31,7 @@ TEST(Sha256, TheStandardsExamples) {
   }
 }
 
-TEST(Sha256, OfAFileAndNotOfAPipe) {
+TEST(Sha256, OfAFileAndNotOfAPipeNorOfWhatIsTooLarge) {
   const test::TempFolder folder;
   std::ofstream(folder / "abc") << "abc";
   EXPECT_EQ(sha256_of_file(folder / "abc").value(), of("abc", 3));
@@ -39,6 +40,11 @@ TEST(Sha256, OfAFileAndNotOfAPipe) {
   ASSERT_FALSE(pipe.ok());
   EXPECT_EQ(pipe.error().message, (folder / "pipe") + ": no plain file");
   EXPECT_FALSE(sha256_of_file(folder / "none").ok());
+  std::ofstream(folder / "huge") << "all of it a hole";
+  std::filesystem::resize_file(folder / "huge", 1ULL << 36U);  // would be read for minutes, deaf to signals
+  const auto huge = sha256_of_file(folder / "huge");
+  ASSERT_FALSE(huge.ok());
+  EXPECT_EQ(huge.error().message, (folder / "huge") + ": larger than 512 MiB, no network");
 }
 
 }  // namespace

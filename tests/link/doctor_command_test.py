@@ -92,7 +92,7 @@ def words(program, scenario):
             print(text)
         for said in ("the calibration fits its size", "inertial sensor:", "bus multicast:0: open", "its 50 parameters fit",
                      "note   autopilot: RC7_OPTION is 90", "nodes: 10 (speaks through a tunnel)",
-                     "the camera looks "):
+                     "the camera looks ", "the autopilot may say that our node is unhealthy"):
             check(said in text, "tells of: " + said)
         check(ap.intervals.keys() == {24, 29, 31, 132}, "asks for attitude and aids, and for nothing that it does not read: %s" % sorted(ap.intervals))
         ap.node.close()

@@ -154,6 +154,22 @@ TEST_F(StorageTest, PipesAndPlantedLinksNeitherHoldNorLead) {
   EXPECT_EQ(kept, "precious");
 }
 
+TEST_F(StorageTest, WhatIsPlantedInTheLocksPlaceGroundsNobody) {
+  const std::string lock = folder + "/lock", victim = folder + "/victim";
+  std::filesystem::create_symlink(victim, lock);
+  {
+    Storage storage(folder);
+    const auto state = storage.load(fallback_values());
+    ASSERT_TRUE(state.ok()) << state.error().message;
+    ASSERT_EQ(state.value().warnings.size(), 1u);
+    EXPECT_EQ(state.value().warnings[0].rfind(lock + ": ", 0), 0u) << state.value().warnings[0];
+    EXPECT_FALSE(std::filesystem::exists(victim)) << "and the link is not followed";
+  }
+  std::filesystem::remove(lock);
+  std::filesystem::create_directory(lock);
+  EXPECT_TRUE(Storage(folder).load(fallback_values()).ok());
+}
+
 TEST_F(StorageTest, WhatCannotBeSavedSaysSo) {
   Storage nowhere(""), missing(folder + "/gone");
   StorageRequest request;

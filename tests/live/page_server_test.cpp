@@ -2,8 +2,17 @@
 // callers is tested with the page itself (view_test.py).
 #include "firmware_app/commands/page_server.h"
 
+#include <arpa/inet.h>
+#include <array>
+#include <atomic>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <thread>
+#include <unistd.h>
+#include <vector>
 
 namespace godwit::app {
 namespace {
@@ -62,6 +71,51 @@ TEST(PageServer, SaysWhatIsWrongWithAnAddressOrAPort) {
   const auto all = PageServer::open("0.0.0.0", 0, answer);
   ASSERT_TRUE(all.ok());
   EXPECT_FALSE(all.value()->local());
+}
+
+/// A connection to the server; -1: none.
+int call(int port) {
+  const int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  to.sin_port = htons(static_cast<std::uint16_t>(port));
+  to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  if (fd >= 0 && connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0) return fd;
+  close(fd);
+  return -1;
+}
+
+void ask(int fd) {
+  const std::string request = "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+  ASSERT_EQ(send(fd, request.data(), request.size(), MSG_NOSIGNAL), static_cast<ssize_t>(request.size()));
+}
+
+// More callers than it has at a time, half of whom say nothing, and half ask for much and take none of it.
+TEST(PageServer, WhoSaysOrTakesNothingIsLetGoForOthers) {
+  const auto server = PageServer::open("127.0.0.1", 0, [](const std::string&) {
+    return PageAnswer{200, "text/plain", std::string(16 << 20, 'x')};
+  });
+  ASSERT_TRUE(server.ok()) << server.error().message;
+  std::atomic<bool> stop{false};
+  std::thread serving([&] { server.value()->run(stop); });
+  std::vector<int> idle;
+  for (int i = 0; i < 40; ++i) {
+    idle.push_back(call(server.value()->port()));
+    ASSERT_GE(idle.back(), 0);
+    if (i % 2 == 0) ask(idle.back());
+  }
+  const int late = call(server.value()->port());
+  ASSERT_GE(late, 0);
+  ask(late);
+  const timeval patience{60, 0};  // it waits for five seconds, twice: the first 32 are let go, then the other eight
+  setsockopt(late, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+  std::array<char, 15> answer{};
+  EXPECT_EQ(recv(late, answer.data(), answer.size(), MSG_WAITALL), static_cast<ssize_t>(answer.size()));
+  EXPECT_EQ(std::string(answer.data(), answer.size()), "HTTP/1.1 200 OK");
+  stop.store(true);
+  serving.join();
+  for (const int fd : idle) close(fd);
+  close(late);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ if len(sys.argv) < 2:
 BUILD = ['--build', sys.argv[1]]
 NONE = '-' + '-wings'  # not written out, because the tests are searched for options, too
 sys.path.insert(0, str(ROOT / 'scripts'))
-from documents import links, reasons  # noqa: E402
+from documents import links, named_tests, reasons  # noqa: E402
 
 
 def run(*words):
@@ -100,6 +100,12 @@ class CheckDocs(unittest.TestCase):
         self.assertEqual(self.findings(table + '| 1 | a | - |\n| 3 | b | NoSuchTestIsThere |\n| 3 | c | gone_test.py |\n', 'hazards.md'),
                          ['3: row 1 names no test', '4: no test is called NoSuchTestIsThere', '4: row 2 has the number 3',
                           '4: row 2 names no test', '5: gone_test.py is not in tests/', '5: row 3 names no test'])
+        faults = '| # | what happened | now | test |\n|---|---|---|---|\n'
+        self.assertEqual(self.findings(table + '| 1 | a | LineLog |\n\n' + faults + '| 1 | a | b | LineLog |\n| 2 | a | b | - |\n',
+                                       'hazards.md'), ['8: row 2 names no test'])
+        run = named_tests.Tests(ROOT, BUILD[1])
+        self.assertEqual([run.is_run(t) for t in ('LostIsToldWithTheFrame', 'chaos_test.py', 'DoctorFinds', 'LostIsTold', 'gone_test.py')],
+                         [True, True, True, False, False])
         self.assertEqual(self.findings('no table\n', 'hazards.md'), ['1: no table of hazards (it begins with "| # | failure |")'])
 
     def test_each_reason_is_explained(self):
