@@ -42,7 +42,7 @@ endfunction()
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/detector/models DESTINATION ${GODWIT_DATA_DIR} COMPONENT models)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/config/scenarios DESTINATION ${GODWIT_DATA_DIR} COMPONENT scenarios)
-install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc DESTINATION ${GODWIT_DATA_DIR} COMPONENT programs)
+install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.dbc ${PROJECT_SOURCE_DIR}/config/plotjuggler.xml DESTINATION ${GODWIT_DATA_DIR} COMPONENT programs)
 # Each tool lies beside what it imports, and the path has a link to it.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/scripts/report DESTINATION ${GODWIT_DATA_DIR}/tools COMPONENT tools PATTERN __pycache__ EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/scripts/pose_consistency.py ${PROJECT_SOURCE_DIR}/scripts/pose_metric.py

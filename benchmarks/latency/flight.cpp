@@ -74,6 +74,9 @@ class Watchers {
     live_.status.frame(record);
     live_.track.frame(record);
   }
+  void reading(const hal::ImuSample& sample) {
+    if (log_ != nullptr) log_->reading(sample);
+  }
 
  private:
   bool wanted_ = false;
@@ -99,6 +102,7 @@ class Collector final : public app::FrameSink {
     if (delivery_ns_ < 0) fmt::print(stderr, "godwit-latency: {}\n", app::event_line(e, e.t_ns));
   }
 
+  void reading(const hal::ImuSample& sample) override { watchers_->reading(sample); }
   void started(const std::vector<std::string>& refused) override {
     figures_->refused = app::privilege_warning(figures_->refused, refused);
   }

@@ -148,7 +148,11 @@ void LinkRunner::run_keeper() {
       tell(LinkLogLevel::kWarning, error);
     }
     look_at_machine(rt::monotonic_now_ns());
-    if (service_->take_status(&status_)) watch(status_);
+    if (service_->take_status(&status_)) {
+      watch(status_);
+      const std::lock_guard<std::mutex> lock(shown_mutex_);
+      shown_ = status_;
+    }
     watch_aids(rt::monotonic_now_ns());
     quality_.store(status_.quality, std::memory_order_relaxed);
     keeper_pulse_.beat();

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
@@ -77,6 +78,12 @@ class LinkRunner final : public FrameTap {
   /// As the autopilot was told last; -1: there was none. Any thread.
   int quality() const { return quality_.load(std::memory_order_relaxed); }
 
+  /// Of the keeper's last look. Any thread that may lock.
+  link::LinkStatus status() const {
+    const std::lock_guard<std::mutex> lock(shown_mutex_);
+    return shown_;
+  }
+
   /// Ends the threads and returns the last status. Afterwards nothing is sent any more.
   const link::LinkStatus& finish();
   /// How gw-link fared; valid after finish().
@@ -117,6 +124,8 @@ class LinkRunner final : public FrameTap {
   link::SystemHealth health_;  ///< keeper's: as published last
   link::LinkStatus status_;    ///< keeper's; finish() reads it after the join
   link::LinkStatus told_;      ///< keeper's: what the log has been told
+  mutable std::mutex shown_mutex_;
+  link::LinkStatus shown_;  ///< status_, for status(); under shown_mutex_
   rt::TimeNs t_next_report_ns_ = 0;
   rt::TimeNs t_next_health_ns_ = 0;
   std::string told_storage_error_;

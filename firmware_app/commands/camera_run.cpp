@@ -32,12 +32,13 @@ void say(const std::string& line) {
 class ShowingSink final : public FrameSink {
  public:
   ShowingSink(FrameSink* next, FrameSink* beside, EventRecorder* recorder, FlightLog* log, ProgressBar* bar,
-              std::string memory_refused)
+              const LinkRunner* autopilot, std::string memory_refused)
       : next_(next),
         beside_(beside),
         recorder_(recorder),
         log_(log),
         bar_(bar),
+        autopilot_(autopilot),
         memory_refused_(std::move(memory_refused)) {}
   rt::Result<void> take(const FrameRecord& record) override {
     clock_.heard(record.t_capture_ns);
@@ -52,6 +53,14 @@ class ShowingSink final : public FrameSink {
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
     if (!warning.empty()) say("warning: " + warning);
+  }
+  void reading(const hal::ImuSample& sample) override {
+    if (log_ != nullptr) log_->reading(sample);
+  }
+  void turn(rt::TimeNs now_ns) override {
+    if (log_ == nullptr || autopilot_ == nullptr || now_ns < t_bus_due_ns_) return;
+    t_bus_due_ns_ = now_ns + rt::kNsPerSecond;
+    log_->bus(autopilot_->status());
   }
   void detection(const FoundBoxes& found) override {
     if (log_ != nullptr) log_->detection(found);
@@ -70,6 +79,8 @@ class ShowingSink final : public FrameSink {
   EventRecorder* recorder_;
   FlightLog* log_;
   ProgressBar* bar_;
+  const LinkRunner* autopilot_;
+  rt::TimeNs t_bus_due_ns_ = 0;
   const std::string memory_refused_;
   std::int64_t done_ = 0;
   EventClock clock_;
@@ -213,7 +224,8 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, plan.beside, recorder.get(), flight_log.get(), &bar, arm_memory(config));
+    ShowingSink sink(&writer, plan.beside, recorder.get(), flight_log.get(), &bar, autopilot,
+                     arm_memory(config));
     run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }

@@ -41,18 +41,22 @@ int give_up(const std::string& line) {
   return kExitFailed;
 }
 
-/// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null,
-/// and for whoever looks.
+/// How often the flight log is told of the bus.
+constexpr rt::TimeNs kBusNs = rt::kNsPerSecond;
+
+/// Tells what changes; frame after frame is for the flight log and the event recorder, which may be null (as the
+/// link), and for whoever looks.
 class Journal final : public FrameSink {
  public:
   Journal(const hal::ServiceManager& manager, bool locks_memory, std::string memory_refused, FlightLog* log,
-          EventRecorder* recorder, Live* live)
+          EventRecorder* recorder, Live* live, const LinkRunner* autopilot)
       : manager_(manager),
         locks_memory_(locks_memory),
         memory_refused_(std::move(memory_refused)),
         log_(log),
         recorder_(recorder),
-        live_(live) {}
+        live_(live),
+        autopilot_(autopilot) {}
 
   void started(const std::vector<std::string>& refused) override {
     const std::string warning = privilege_warning(memory_refused_, refused);
@@ -70,6 +74,14 @@ class Journal final : public FrameSink {
     live_->status.frame(record);
     live_->track.frame(record);
     return {};
+  }
+  void reading(const hal::ImuSample& sample) override {
+    if (log_ != nullptr) log_->reading(sample);
+  }
+  void turn(rt::TimeNs now_ns) override {
+    if (log_ == nullptr || autopilot_ == nullptr || now_ns < t_bus_due_ns_) return;
+    t_bus_due_ns_ = now_ns + kBusNs;
+    log_->bus(autopilot_->status());
   }
   void detection(const FoundBoxes& found) override {
     if (log_ != nullptr) log_->detection(found);
@@ -90,6 +102,8 @@ class Journal final : public FrameSink {
   FlightLog* const log_;
   EventRecorder* const recorder_;
   Live* const live_;
+  const LinkRunner* const autopilot_;
+  rt::TimeNs t_bus_due_ns_ = 0;
   EventClock clock_;
   std::uint64_t tracked_ = 0;
 };
@@ -204,7 +218,8 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
                         &live_machine}),
             {}};
   const std::unique_ptr<LiveServer> server = begin_live(config, &live, picture.get(), say, abandon);
-  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live);
+  Journal journal(manager, config.threads.lock_memory, arm_memory(config), flight_log.get(), recorder.get(), &live,
+                  autopilot);
   const auto run = run_pipeline(camera->camera(), parts.stage.get(), parts.pool.get(), options, &journal, ending);
   rt::begin_process_end();  // whoever wanted it
   if (!run) return give_up(run.error().message);

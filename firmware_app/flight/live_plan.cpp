@@ -1,7 +1,9 @@
 #include "firmware_app/flight/live_plan.h"
 
 #include <algorithm>
+#include <charconv>
 #include <limits>
+#include <optional>
 
 #include "firmware_app/config/version.h"
 
@@ -12,10 +14,25 @@ bool may_be_looked_at(const Config& config) {
   return config.live.enabled && !config.live.socket.empty();
 }
 
+/// "key = 12.5"; none: its value is no figure.
+std::optional<std::pair<std::string, double>> figure_of(const std::string& line) {
+  const auto equals = line.find(" = ");
+  if (equals == std::string::npos) return std::nullopt;
+  const std::string value = line.substr(equals + 3);
+  if (value == "true" || value == "false") return std::pair(line.substr(0, equals), value == "true" ? 1.0 : 0.0);
+  double figure = 0;
+  const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), figure);
+  if (error != std::errc() || end != value.data() + value.size()) return std::nullopt;
+  return std::pair(line.substr(0, equals), figure);
+}
+
 FlightLogOptions log_options(const Config& config) {
   FlightLogOptions out;
   std::string text;
-  for (const std::string& line : show_config(config)) text += line + "\n";
+  for (const std::string& line : show_config(config)) {
+    text += line + "\n";
+    if (const auto figure = figure_of(line)) out.parameters.push_back(*figure);
+  }
   out.info.emplace_back("version", version_words(version()));
   out.info.emplace_back("ver_sw", commit_words(version()));
   out.info.emplace_back("configuration", std::move(text));

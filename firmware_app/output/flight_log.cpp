@@ -40,6 +40,15 @@ std::string name_of(std::uint64_t number) {
   const std::string digits = std::to_string(number);
   return std::string(kNameDigits - std::min(kNameDigits, digits.size()), '0') + digits + ".ulg";
 }
+
+/// The disc is made to have the folder's list of files: a file without its name is lost. A file system that cannot do it
+/// keeps the list by other means.
+void keep_names(const fs::path& folder) {
+  const int fd = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (fd < 0) return;
+  ::fsync(fd);
+  ::close(fd);
+}
 }  // namespace
 
 std::string next_flight_file(const std::string& file) {
@@ -138,7 +147,7 @@ void FlightLog::State::make_room() {
 }
 
 bool FlightLog::State::open(rt::TimeNs now_ns) {
-  ::mkdir(options.folder.c_str(), 0750);
+  if (::mkdir(options.folder.c_str(), 0750) == 0) keep_names(fs::path(options.folder).parent_path());
   make_room();
   if (!has_room(options.folder, options.room)) {
     fail("nearly full", now_ns);
@@ -155,8 +164,9 @@ bool FlightLog::State::open(rt::TimeNs now_ns) {
     fail("a file cannot be made", now_ns);
     return false;
   }
+  keep_names(options.folder);
   good_bytes = 0;
-  std::string begin = flight_topics::definitions(options.info, now_ns);
+  std::string begin = flight_topics::definitions(options.info, options.parameters, now_ns);
   if (t_trouble_ns != 0) ulog::append_dropout(now_ns - t_trouble_ns, &begin);
   if (!write(begin)) {
     fail("cannot be written", now_ns);
@@ -280,11 +290,28 @@ void FlightLog::frame(const FrameRecord& r) noexcept {
     put(flight_topics::frame(r), flight_topics::kFrame);
     if (r.has_pose) put(flight_topics::pose(r), flight_topics::kPose);
     if (r.mapping.messages > 0) put(flight_topics::mapper(r), flight_topics::kMapper);
+    if (r.load.known) put(flight_topics::load(r), flight_topics::kLoad);
     if (r.order.number > 0) {
       state_->frames = r.order.number;
       put(flight_topics::order(r), flight_topics::kOrder);
     }
     if (r.fate != FrameFate::kProcessed) text(4, r.t_capture_ns, r.reason.view());
+  } catch (const std::exception&) {
+  }
+}
+
+void FlightLog::reading(const hal::ImuSample& s) noexcept {
+  try {
+    const ulog::Sample sample = flight_topics::imu(s);
+    state_->put([&](std::string* out) { ulog::append_sample(flight_topics::kImu, sample.bytes(), out); });
+  } catch (const std::exception&) {
+  }
+}
+
+void FlightLog::bus(const link::LinkStatus& s) noexcept {
+  try {
+    const ulog::Sample sample = flight_topics::bus(s);
+    state_->put([&](std::string* out) { ulog::append_sample(flight_topics::kBus, sample.bytes(), out); });
   } catch (const std::exception&) {
   }
 }

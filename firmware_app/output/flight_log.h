@@ -9,9 +9,11 @@
 #include <utility>
 #include <vector>
 
+#include "firmware_app/link/link_node.h"
 #include "firmware_app/output/disc_room.h"
 #include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/frame_record.h"
+#include "hal/imu/imu.h"
 #include "hal/machine/machine_state.h"
 #include "hal/rt/log_ring.h"
 #include "hal/rt/result.h"
@@ -27,7 +29,8 @@ struct FlightLogOptions {
   DiscRoom room;                              ///< what is left of the disc
   /// Stand in each file: version, commit, configuration.
   std::vector<std::pair<std::string, std::string>> info;
-  bool machine = true;  ///< temperature once a second
+  std::vector<std::pair<std::string, double>> parameters;  ///< the same of those that are figures
+  bool machine = true;                                     ///< temperature once a second
 };
 
 struct FlightLogReport {
@@ -56,7 +59,10 @@ class FlightLog {
 
   /// One thread, which may allocate and lock for a moment; none of these waits for the disc.
   void frame(const FrameRecord& record) noexcept;
+  void reading(const hal::ImuSample& sample) noexcept;
   void detection(const FoundBoxes& found) noexcept;
+  /// Once a second is enough.
+  void bus(const link::LinkStatus& status) noexcept;
   void event(const rt::LogEntry& entry) noexcept;
   void text(int level, rt::TimeNs t_ns, std::string_view line) noexcept;
 

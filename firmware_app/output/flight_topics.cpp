@@ -24,13 +24,13 @@ constexpr std::array<Field, 17> kPoseFields = {{{"uint64_t", "timestamp"},
                                                 {"uint32_t", "map_id"},
                                                 {"uint8_t", "tracked"},
                                                 {"uint8_t", "metric"}}};
-constexpr std::array<Field, 21> kFrameFields = {
+constexpr std::array<Field, 22> kFrameFields = {
     {{"uint64_t", "timestamp"},  {"uint64_t", "t_delivered"}, {"uint64_t", "t_done"}, {"uint32_t", "sequence"},
      {"uint32_t", "map_id"},     {"int32_t", "features"},     {"float", "wall_ms"},   {"float", "thread_cpu_ms"},
      {"float", "mapper_cpu_ms"}, {"float", "pyramid_ms"},     {"float", "apply_ms"},  {"float", "initialise_ms"},
      {"float", "align_ms"},      {"float", "reproject_ms"},   {"float", "pose_ms"},   {"float", "keyframe_ms"},
      {"float", "map_ms"},        {"uint8_t", "fate"},         {"uint8_t", "tracked"}, {"uint8_t", "is_keyframe"},
-     {"uint8_t", "map_moved"}}};
+     {"uint8_t", "map_moved"},   {"uint8_t", "state"}}};
 static_assert(kStages == 8, "frame lists the stages by name");
 constexpr std::array<Field, 16> kMapperFields = {{{"uint64_t", "timestamp"},
                                                   {"float", "rms_before_px"},
@@ -74,6 +74,55 @@ constexpr std::array<Field, 5> kBoxFields = {{{"uint64_t", "timestamp"},
                                               {"float", "score"},
                                               {"int32_t", "class_id"}}};
 constexpr std::array<Field, 2> kEndFields = {{{"uint64_t", "timestamp"}, {"uint64_t", "frames"}}};
+constexpr std::array<Field, 17> kLoadFields = {{{"uint64_t", "timestamp"},
+                                                {"uint64_t", "slips"},
+                                                {"uint64_t", "detections"},
+                                                {"uint64_t", "detections_failed"},
+                                                {"uint64_t", "detections_late"},
+                                                {"uint64_t", "detector_stuck"},
+                                                {"uint64_t", "keyframes_undetected"},
+                                                {"uint64_t", "records_lost"},
+                                                {"uint64_t", "events_lost"},
+                                                {"float", "mask_age_ms"},
+                                                {"int32_t", "frames_waiting"},
+                                                {"int32_t", "readings_waiting"},
+                                                {"int32_t", "mapper_backlog"},
+                                                {"int32_t", "records_waiting"},
+                                                {"int32_t", "slots_free"},
+                                                {"int32_t", "slots_fewest"},
+                                                {"uint8_t", "rung"}}};
+constexpr std::array<Field, 4> kImuFields = {
+    {{"uint64_t", "timestamp"}, {"float[3]", "gyro_rad_s"}, {"float[3]", "accel_m_s2"}, {"uint8_t", "flags"}}};
+constexpr std::array<Field, 33> kBusFields = {
+    {{"uint64_t", "timestamp"},      {"uint64_t", "odometry_sent"},   {"uint64_t", "poses_stale"},
+     {"uint64_t", "poses_paced"},    {"uint64_t", "pictures_repeated"}, {"uint64_t", "tx_frames"},
+     {"uint64_t", "tx_messages"},    {"uint64_t", "poses_replaced"},  {"uint64_t", "tx_refused"},
+     {"uint64_t", "tx_abandoned"},   {"uint64_t", "sent"},            {"uint64_t", "received"},
+     {"uint64_t", "send_full"},      {"uint64_t", "send_failed"},     {"uint64_t", "receive_failed"},
+     {"uint64_t", "receive_malformed"}, {"uint64_t", "receive_overflow"}, {"uint64_t", "error_frames"},
+     {"uint64_t", "bus_off"},        {"uint64_t", "reopened"},        {"float", "load_percent"},
+     {"float", "latency_p50_ms"},    {"float", "latency_p99_ms"},     {"float", "own_p50_ms"},
+     {"float", "own_p99_ms"},        {"float", "round_trip_ms"},      {"int8_t", "quality"},
+     {"uint8_t", "reset_counter"},   {"uint8_t", "bus_state"},        {"uint8_t", "armed"},
+     {"uint8_t", "autopilot_alive"}, {"uint8_t", "synchronised"},     {"uint8_t", "own_id_heard"}}};
+
+struct TopicFields {
+  const char* name;
+  std::span<const Field> fields;
+};
+/// By Topic.
+constexpr std::array<TopicFields, kTopics> kTopicFields = {{{"pose", kPoseFields},
+                                                            {"frame", kFrameFields},
+                                                            {"mapper", kMapperFields},
+                                                            {"machine", kMachineFields},
+                                                            {"log", kLogFields},
+                                                            {"order", kOrderFields},
+                                                            {"detection", kDetectionFields},
+                                                            {"box", kBoxFields},
+                                                            {"end", kEndFields},
+                                                            {"load", kLoadFields},
+                                                            {"imu", kImuFields},
+                                                            {"bus", kBusFields}}};
 
 std::uint64_t us(rt::TimeNs t_ns) {
   return static_cast<std::uint64_t>(t_ns / 1000);
@@ -84,30 +133,16 @@ float ms(rt::TimeNs t_ns) {
 }
 }  // namespace
 
-std::string definitions(const std::vector<std::pair<std::string, std::string>>& info, rt::TimeNs t_ns) {
+std::string definitions(const std::vector<std::pair<std::string, std::string>>& info,
+                        const std::vector<std::pair<std::string, double>>& parameters, rt::TimeNs t_ns) {
   std::string out;
   ulog::append_header(t_ns, &out);
   ulog::append_flags(&out);
   ulog::append_info("sys_name", "godwit", &out);
   for (const auto& [key, value] : info) ulog::append_info(key, value, &out);
-  ulog::append_format("pose", kPoseFields, &out);
-  ulog::append_format("frame", kFrameFields, &out);
-  ulog::append_format("mapper", kMapperFields, &out);
-  ulog::append_format("machine", kMachineFields, &out);
-  ulog::append_format("log", kLogFields, &out);
-  ulog::append_format("order", kOrderFields, &out);
-  ulog::append_format("detection", kDetectionFields, &out);
-  ulog::append_format("box", kBoxFields, &out);
-  ulog::append_format("end", kEndFields, &out);
-  ulog::append_subscription(kPose, "pose", &out);
-  ulog::append_subscription(kFrame, "frame", &out);
-  ulog::append_subscription(kMapper, "mapper", &out);
-  ulog::append_subscription(kMachine, "machine", &out);
-  ulog::append_subscription(kLog, "log", &out);
-  ulog::append_subscription(kOrder, "order", &out);
-  ulog::append_subscription(kDetection, "detection", &out);
-  ulog::append_subscription(kBox, "box", &out);
-  ulog::append_subscription(kEnd, "end", &out);
+  for (const auto& [key, value] : parameters) ulog::append_parameter(key, static_cast<float>(value), &out);
+  for (const auto& [name, fields] : kTopicFields) ulog::append_format(name, fields, &out);
+  for (std::uint16_t id = 0; id < kTopics; ++id) ulog::append_subscription(id, kTopicFields[id].name, &out);
   return out;
 }
 
@@ -118,6 +153,7 @@ ulog::Sample frame(const FrameRecord& r) {
   for (const rt::TimeNs stage : r.stage_ns) out.put(ms(stage));
   out.put(static_cast<std::uint8_t>(r.fate));
   for (const bool flag : {r.tracked, r.is_keyframe, r.map_moved}) out.put(static_cast<std::uint8_t>(flag));
+  out.put(static_cast<std::uint8_t>(r.state));
   return out;
 }
 
@@ -140,6 +176,43 @@ ulog::Sample mapper(const FrameRecord& r) {
                                m.fixed_keyframes, m.adjusted_points, m.observations, m.iterations, m.outliers}) {
     out.put(n);
   }
+  return out;
+}
+
+ulog::Sample load(const FrameRecord& r) {
+  const LoadRecord& l = r.load;
+  ulog::Sample out(r.t_capture_ns);
+  out.put(l.slips).put(l.detections).put(l.detections_failed).put(l.detections_late).put(l.detector_stuck);
+  out.put(l.keyframes_undetected).put(l.records_lost).put(l.events_lost);
+  out.put(l.mask_age_ns < 0 ? -1.0F : ms(l.mask_age_ns));
+  for (const std::int32_t n : {l.frames_waiting, l.readings_waiting, l.mapper_backlog, l.records_waiting, l.slots_free,
+                               l.slots_fewest}) {
+    out.put(n);
+  }
+  out.put(static_cast<std::uint8_t>(l.rung));
+  return out;
+}
+
+ulog::Sample imu(const hal::ImuSample& s) {
+  return ulog::Sample(s.t_ns).put_all<float>(s.gyro_rad_s).put_all<float>(s.accel_m_s2).put(s.flags);
+}
+
+ulog::Sample bus(const link::LinkStatus& s) {
+  ulog::Sample out(s.t_ns);
+  out.put(s.odometry_sent).put(s.poses_stale).put(s.poses_paced).put(s.pictures_repeated);
+  out.put(s.tx.frames).put(s.tx.messages).put(s.tx.poses_replaced).put(s.tx.refused).put(s.tx.abandoned);
+  const hal::CanCounters& b = s.bus;
+  for (const std::uint64_t n : {b.sent, b.received, b.send_full, b.send_failed, b.receive_failed, b.receive_malformed,
+                                b.receive_overflow, b.error_frames, b.bus_off, b.reopened}) {
+    out.put(n);
+  }
+  for (const double x : {s.bus_load_percent, s.latency.p50_ms, s.latency.p99_ms, s.own_p50_ms, s.own_p99_ms,
+                         s.round_trip_ms}) {
+    out.put(static_cast<float>(x));
+  }
+  out.put(s.quality).put(s.reset_counter).put(static_cast<std::uint8_t>(s.bus_state));
+  for (const bool flag : {s.armed, s.autopilot_alive, s.synchronised, s.own_id_heard})
+    out.put(static_cast<std::uint8_t>(flag));
   return out;
 }
 

@@ -5,22 +5,43 @@
 #include <utility>
 #include <vector>
 
+#include "firmware_app/link/link_node.h"
 #include "firmware_app/output/ulog.h"
 #include "firmware_app/pipeline/detector_stage.h"
 #include "firmware_app/pipeline/frame_record.h"
+#include "hal/imu/imu.h"
 #include "hal/machine/machine_state.h"
 
 namespace godwit::app::flight_topics {
 
-enum Topic : std::uint16_t { kPose, kFrame, kMapper, kMachine, kLog, kOrder, kDetection, kBox, kEnd };
+enum Topic : std::uint16_t {
+  kPose,
+  kFrame,
+  kMapper,
+  kMachine,
+  kLog,
+  kOrder,
+  kDetection,
+  kBox,
+  kEnd,
+  kLoad,
+  kImu,
+  kBus,
+  kTopics
+};
 
-/// What each file begins with: when, `info` by key and value, and the topics with their fields.
-std::string definitions(const std::vector<std::pair<std::string, std::string>>& info, rt::TimeNs t_ns);
+/// What each file begins with: when, `info` by key and value, `parameters`, and the topics with their fields.
+std::string definitions(const std::vector<std::pair<std::string, std::string>>& info,
+                        const std::vector<std::pair<std::string, double>>& parameters, rt::TimeNs t_ns);
 
 ulog::Sample frame(const FrameRecord& r);
 /// Of a record that has one.
 ulog::Sample pose(const FrameRecord& r);
 ulog::Sample mapper(const FrameRecord& r);
+/// Of a record that knows it.
+ulog::Sample load(const FrameRecord& r);
+ulog::Sample imu(const hal::ImuSample& s);
+ulog::Sample bus(const link::LinkStatus& s);
 ulog::Sample machine(const hal::MachineState& state, rt::TimeNs t_ns);
 /// The log's own figures; waiting: bytes not yet handed to the disc.
 ulog::Sample log(std::uint64_t written_bytes, std::uint64_t dropped, std::uint32_t waiting, rt::TimeNs t_ns);

@@ -80,6 +80,14 @@ void append_info(std::string_view key, std::string_view value, std::string* out)
   out->append(name).append(value);
 }
 
+void append_parameter(std::string_view key, float value, std::string* out) {
+  const std::string name = "float " + std::string(cut(key, 200));
+  begin('P', 1 + name.size() + sizeof value, out);
+  *out += static_cast<char>(name.size());
+  out->append(name);
+  put(value, out);
+}
+
 void append_format(std::string_view topic, std::span<const Field> fields, std::string* out) {
   std::string text = std::string(cut(topic, kLongestName)) + ":";
   for (const Field& f : fields) text += std::string(f.type) + " " + f.name + ";";

@@ -28,6 +28,8 @@ std::size_t sample_bytes(std::span<const Field> fields);
 void append_header(rt::TimeNs t_start_ns, std::string* out);
 void append_flags(std::string* out);
 void append_info(std::string_view key, std::string_view value, std::string* out);
+/// Under a name of at most 200 bytes.
+void append_parameter(std::string_view key, float value, std::string* out);
 void append_format(std::string_view topic, std::span<const Field> fields, std::string* out);
 void append_subscription(std::uint16_t id, std::string_view topic, std::string* out);
 void append_sample(std::uint16_t id, std::string_view sample, std::string* out);

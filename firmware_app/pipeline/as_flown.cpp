@@ -144,6 +144,7 @@ class AsFlown {
       sample.t_ns += clock_.shift_ns();
       t_reading_ns_ = sample.t_ns;
       stage_->take_imu(sample);
+      sink_->reading(sample);
     }
     return t_reading_ns_ == order.t_reading_ns;
   }

@@ -57,6 +57,7 @@ struct Channels {
 
   rt::SpscRing<rt::FrameHandle, kFrameRing> frames;  ///< feeder -> tracker
   ImuRing samples;                                   ///< IMU, or feeder -> tracker
+  ReadingRing readings;                              ///< IMU, or feeder -> collector
   rt::SpscRing<DetectorJob, 2> jobs;                 ///< tracker -> detector; one under way at a time
   rt::SpscRing<DetectionEnd, 2> detections;          ///< detector -> tracker
   rt::SpscRing<FoundBoxes, 16> found;                ///< detector -> collector
@@ -81,6 +82,8 @@ struct Channels {
   std::atomic<std::uint64_t> finished{0};
   /// Feeder, tracker and detector -> collector: records that found their ring full. Relaxed; a counter.
   std::atomic<std::uint64_t> records_lost{0};
+  /// IMU's thread -> collector: readings that found their ring full. Relaxed; a counter.
+  std::atomic<std::uint64_t> readings_lost{0};
   /// Tracker -> feeder: frames it is through with, and the mapper's backlog as it last saw it. Relaxed, as above.
   std::atomic<std::uint64_t> tracked_count{0};
   std::atomic<int> mapper_backlog{0};

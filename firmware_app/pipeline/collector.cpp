@@ -23,6 +23,7 @@ rt::Result<void> Collector::collect(const std::vector<std::string>& refused, con
     take_records(all_done, counters);
     take_events();
     take_detections();
+    take_readings();
     if (all_done) break;
     if (!taken_.ok() || stop_asked(options_, stop)) channels_->stop.store(true, std::memory_order_relaxed);
     const rt::TimeNs now_ns = rt::monotonic_now_ns();
@@ -82,6 +83,16 @@ void Collector::take_events() {
 void Collector::take_detections() {
   FoundBoxes found;
   while (channels_->found.try_pop(&found)) guarded([&] { sink_->detection(found); });
+}
+
+void Collector::take_readings() {
+  hal::ImuSample sample;
+  while (channels_->readings.try_pop(&sample)) guarded([&] { sink_->reading(sample); });
+}
+
+void Collector::take_last() {
+  take_detections();
+  take_readings();
 }
 
 void Collector::look_at_machine(rt::TimeNs now_ns) {

@@ -23,12 +23,14 @@ class Collector {
 
   /// Until the tracker's thread has ended and its last record is taken. Raises Channels::stop when it is asked to end,
   /// or when the sink fails, whose error it returns. refused: what the machine refused of the threads' plans.
-  /// take_detections() once more when the detector's thread has been joined: its last ones may have been used.
+  /// take_last() when all threads have been joined: what the detector and the inertial sensor told last.
   rt::Result<void> collect(const std::vector<std::string>& refused, const std::atomic<bool>& stop,
                            PipelineCounters* counters);
-  void take_detections();
+  void take_last();
 
  private:
+  void take_detections();
+  void take_readings();
   bool take_one(FrameRecord* record, bool all_done);
   void take_records(bool all_done, PipelineCounters* counters);
   void take_events();

@@ -80,6 +80,11 @@ void FeederThread::feed_samples(rt::TimeNs t_capture_ns) {
       channels_->tracker_wake.post();
       channels_->feeder_wake.wait_for(rt::kNsPerMs);
     }
+    while (!channels_->readings.try_push(sample)) {
+      if (channels_->stop.load(std::memory_order_relaxed)) return;
+      channels_->collector_wake.post();
+      channels_->feeder_wake.wait_for(rt::kNsPerMs);
+    }
   }
 }
 

@@ -11,6 +11,7 @@
 #include <string_view>
 
 #include "firmware_app/pipeline/flown_order.h"
+#include "firmware_app/pipeline/load_record.h"
 #include "hal/aid/aid.h"
 #include "hal/rt/time.h"
 #include "vo_core/tracking/state.h"
@@ -135,6 +136,7 @@ struct FrameRecord {
   const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
   MappingRecord mapping;             ///< what the mapper has done since the frame before
   FlownOrder order;                  ///< what it found when it was flown; processed frames
+  LoadRecord load;                   ///< the same of the threads around it
   Measured why;                      ///< why the state is what it is; processed frames
   ShortText reason;                  ///< the same in words, or why the picture was not flown
 };

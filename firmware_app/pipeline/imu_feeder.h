@@ -13,6 +13,8 @@ namespace godwit::app {
 /// Samples that the tracker has not taken: a second of the fastest sensor (1 kHz). It takes them at least ten times a
 /// second.
 using ImuRing = rt::SpscRing<hal::ImuSample, 1024>;
+/// Samples on their way to the sink, which a disc or a log may hold up for seconds.
+using ReadingRing = rt::SpscRing<hal::ImuSample, 4096>;
 
 struct ImuCounters {
   std::uint64_t samples = 0;      ///< plausible ones

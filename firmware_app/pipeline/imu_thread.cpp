@@ -22,6 +22,7 @@ void ImuThread::run(rt::Pulse* pulse) {
     if (status == hal::ImuStatus::kSample) {
       camera_->turning(std::hypot(sample.gyro_rad_s[0], sample.gyro_rad_s[1], sample.gyro_rad_s[2]));
       if (!channels_->samples.try_push(sample)) ++feeder_.counters.dropped;
+      if (!channels_->readings.try_push(sample)) channels_->readings_lost.fetch_add(1, std::memory_order_relaxed);
     }
     // A device that fails at once must not take the processor.
     if (status == hal::ImuStatus::kFault) rt::sleep_until_ns(rt::monotonic_now_ns() + kImuFaultNs);

@@ -33,11 +33,27 @@ void count(const FrameRecord& record, PipelineCounters* counters) {
 
 namespace {
 
+/// What the inertial sensor measured up to t_ns, to the stage and, outside the real-time rules, to the sink.
+void hand_readings(ImuFeeder* imu, rt::TimeNs t_ns, ReadingRing* told, FrameStage* stage, FrameSink* sink) {
+  hal::ImuSample sample;
+  for (bool more = true; more;) {
+    {
+      const rt::RtScope real_time;
+      for (more = false; !more && imu->next_until(t_ns, &sample); more = told->size() == ReadingRing::capacity()) {
+        stage->take_imu(sample);
+        told->try_push(sample);
+      }
+    }
+    while (told->try_pop(&sample)) sink->reading(sample);
+  }
+}
+
 rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* stage, rt::FramePool* pool,
                                             const PipelineOptions& options, FrameSink* sink,
                                             const std::atomic<bool>& stop) {
   Feeder feeder(camera, pool, false, options.onlooker);
   ImuFeeder imu(options.imu, false, options.onlooker);
+  const auto told = std::make_unique<ReadingRing>();
   StateWatch state;
   PipelineCounters counters;
   // By count, not by time: two runs must be equal.
@@ -52,10 +68,9 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     if (outcome == Feeder::Outcome::kEnd) break;
     if (outcome == Feeder::Outcome::kNothing) continue;
     if (outcome == Feeder::Outcome::kFrame) {
+      if (options.imu != nullptr) hand_readings(&imu, handle.meta.t_capture_ns, told.get(), stage, sink);
       {
         const rt::RtScope real_time;
-        hal::ImuSample sample;
-        while (options.imu != nullptr && imu.next_until(handle.meta.t_capture_ns, &sample)) stage->take_imu(sample);
         hal::AidSample aid;
         while (options.aids != nullptr && options.aids->next_until(handle.meta.t_capture_ns, &aid))
           stage->take_aid(aid);

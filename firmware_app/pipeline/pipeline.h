@@ -34,6 +34,8 @@ class FrameSink {
   virtual void started(const std::vector<std::string>& /*refused*/) {}
   /// Error: the run ends with it.
   virtual rt::Result<void> take(const FrameRecord& record) = 0;
+  /// Each reading of the inertial sensor, in the order of their times. Not in step with take().
+  virtual void reading(const hal::ImuSample& /*sample*/) {}
   /// What the detector found in a picture. Not in step with take().
   virtual void detection(const FoundBoxes& /*found*/) {}
   /// What a real-time thread had to say: changes of state and of rung, a silent camera. In the order in which they
@@ -124,6 +126,7 @@ struct PipelineCounters {
   // Threads only.
   std::uint64_t records_lost = 0;  ///< finished frames that the sink was too slow to take
   std::uint64_t events_lost = 0;   ///< the same of events
+  std::uint64_t readings_lost = 0; ///< the same of readings, for the sink alone: the tracker had them
   SchedulerCounters scheduler;     ///< real pace
   Rung rung = Rung::kFull;         ///< at the end
   std::vector<ThreadReport> threads;

@@ -76,6 +76,7 @@ void ThreadedPipeline::join(const std::atomic<bool>& stop, PipelineCounters* cou
   }
   counters->records_lost = channels_->records_lost.load(std::memory_order_relaxed);
   counters->events_lost = channels_->events.lost();
+  counters->readings_lost = channels_->readings_lost.load(std::memory_order_relaxed);
   if (options_.imu != nullptr) counters->imu = options_.newest_frame ? imu_.counters() : feeder_.imu_counters();
   tracker_.report(counters);
 }
@@ -99,7 +100,7 @@ rt::Result<PipelineCounters> ThreadedPipeline::run(FrameSink* sink, const std::a
   Collector collector(camera_, options_, channels_.get(), sink);
   const auto taken = collector.collect(refused, stop, &counters);
   join(stop, &counters);
-  collector.take_detections();
+  collector.take_last();
   if (!taken.ok()) return taken.error();
   return counters;
 }

@@ -25,6 +25,7 @@ TrackerThread::TrackerThread(FrameStage* stage, rt::FramePool* pool, hal::Camera
       camera_(camera),
       options_(options),
       channels_(channels),
+      pool_(pool),
       readers_(pool->layout().readers),
       back_(pool->reader(kTrackerReader)),
       scheduler_(scheduler_options(options)),
@@ -91,6 +92,7 @@ void TrackerThread::track_one(rt::FrameHandle handle) {
   record.mapper_cpu_ns = mapper_cpu - mapper_cpu_seen_;
   record.stage_ns[kMapStage] = record.mapper_cpu_ns;
   mapper_cpu_seen_ = mapper_cpu;
+  look_at_load(&record);
   finish(record);
   steer(record, dropped);
   if (options_.detector != nullptr) look_after_detector(handle, record);
@@ -118,6 +120,28 @@ void TrackerThread::finish(const FrameRecord& record) {
   channels_->finish(&channels_->tracked, record);
   // Release, partner: the acquire load in Collector::take_one(). See Channels::finished.
   channels_->finished.store(++through_, std::memory_order_release);
+}
+
+void TrackerThread::look_at_load(FrameRecord* record) const {
+  const SchedulerCounters& s = scheduler_.counters();
+  LoadRecord& load = record->load;
+  load.known = true;
+  load.rung = scheduler_.rung();
+  load.slips = s.slips;
+  load.detections = s.detections;
+  load.detections_failed = s.detections_failed;
+  load.detections_late = s.detections_late;
+  load.detector_stuck = s.detector_stuck;
+  load.keyframes_undetected = s.keyframes_undetected;
+  load.mask_age_ns = scheduler_.mask_age_ns(record->t_capture_ns);
+  load.frames_waiting = static_cast<std::int32_t>(channels_->frames.size());
+  load.readings_waiting = static_cast<std::int32_t>(channels_->samples.size());
+  load.mapper_backlog = stage_->mapper_backlog();
+  load.records_waiting = static_cast<std::int32_t>(channels_->tracked.size());
+  load.slots_free = pool_->free_slots();
+  load.slots_fewest = pool_->fewest_free_slots();
+  load.records_lost = channels_->records_lost.load(std::memory_order_relaxed);
+  load.events_lost = channels_->events.lost();
 }
 
 void TrackerThread::take_samples(rt::TimeNs until_ns) {

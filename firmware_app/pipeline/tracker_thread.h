@@ -34,6 +34,7 @@ class TrackerThread {
   void track_one(rt::FrameHandle handle);
   int take_newest(rt::FrameHandle* handle);
   void finish(const FrameRecord& record);
+  void look_at_load(FrameRecord* record) const;
   void take_samples(rt::TimeNs until_ns);
   void look_around();
   void look_for_imu_silence(rt::TimeNs now_ns);
@@ -45,6 +46,7 @@ class TrackerThread {
   TurnWatch turn_;
   const PipelineOptions& options_;
   Channels* const channels_;
+  const rt::FramePool* const pool_;
   const int readers_;     ///< references to a frame
   rt::FrameReturn back_;  ///< this thread's way of giving slots back
   Scheduler scheduler_;

@@ -123,6 +123,7 @@ class Scheduler {
   void detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed);
 
   SchedulePlan plan() const;
+  Rung rung() const { return rung_; }
   /// The detector holds an order for longer than detector_stuck_ns. It gets no other until it returns that one.
   bool detector_stuck() const { return stuck_; }
   /// Age of the newest mask; negative: there is none yet.

@@ -60,6 +60,7 @@ FramePool::FramePool(const Layout& layout) : layout_(layout), slots_(static_cast
   if (memory_ != nullptr) std::memset(memory_.get(), 0, total);  // touched: no page fault once armed
   const int rings = layout.readers + (layout.onlooker ? 1 : 0);
   for (int i = 0; i < rings; ++i) returns_.push_back(std::make_unique<ReturnRing>());
+  free_ = fewest_free_ = layout.slots;
 }
 
 void FramePool::collect() {
@@ -70,18 +71,24 @@ void FramePool::collect() {
       Slot& slot = slots_[static_cast<std::size_t>(r.slot)];
       assert(slot.references >= r.count);  // given back twice otherwise
       slot.references -= r.count;
-      if (slot.references == 0) slot.taken = false;
+      if (slot.references != 0) continue;
+      slot.taken = false;
+      --taken_;
     }
   }
 }
 
 int FramePool::acquire() {
   collect();
+  const int free = layout_.slots - taken_;
+  free_.store(free, std::memory_order_relaxed);
+  if (free < fewest_free_.load(std::memory_order_relaxed)) fewest_free_.store(free, std::memory_order_relaxed);
   for (int i = 0; i < layout_.slots; ++i) {
     const int slot = (next_ + i) % layout_.slots;
     Slot& s = slots_[static_cast<std::size_t>(slot)];
     if (s.taken) continue;
     s.taken = true;
+    ++taken_;
     s.references = 0;
     next_ = (slot + 1) % layout_.slots;
     return slot;
@@ -99,6 +106,7 @@ void FramePool::cancel(int slot) {
   Slot& s = slots_[static_cast<std::size_t>(slot)];
   assert(s.taken && s.references == 0);
   s.taken = false;
+  --taken_;
 }
 
 FrameReturn FramePool::reader(int index) {

@@ -95,6 +95,10 @@ class FramePool {
 
   int slots() const { return layout_.slots; }
   const Layout& layout() const { return layout_; }
+  /// Slots that were free when the owner last asked for one, that one included, and the fewest that ever were. Any
+  /// thread.
+  int free_slots() const { return free_.load(std::memory_order_relaxed); }
+  int fewest_free_slots() const { return fewest_free_.load(std::memory_order_relaxed); }
   /// Frames dropped because no slot was free. Any thread.
   std::uint64_t exhausted() const { return exhausted_.load(std::memory_order_relaxed); }
 
@@ -125,9 +129,11 @@ class FramePool {
   std::unique_ptr<std::uint8_t, FreeDeleter> memory_;
   std::vector<Slot> slots_;
   std::vector<std::unique_ptr<ReturnRing>> returns_;
-  int next_ = 0;  ///< where the search for a free slot goes on: the slot longest free comes first
-  /// Written by the owner, read by whoever reports. A counter alone: nothing is ordered by it.
+  int next_ = 0;   ///< where the search for a free slot goes on: the slot longest free comes first
+  int taken_ = 0;  ///< slots
+  /// Written by the owner, read by whoever reports. Figures alone: nothing is ordered by them.
   std::atomic<std::uint64_t> exhausted_{0};
+  std::atomic<int> free_{0}, fewest_free_{0};
 };
 
 }  // namespace godwit::rt

@@ -158,6 +158,8 @@ class Collect final : public FrameSink {
     if (records.size() == stop_at) stop->store(true);
     return {};
   }
+  std::vector<rt::TimeNs> readings;
+  void reading(const hal::ImuSample& sample) override { readings.push_back(sample.t_ns); }
   std::vector<rt::LogEntry> events;
   void event(const rt::LogEntry& entry) override { events.push_back(entry); }
 };

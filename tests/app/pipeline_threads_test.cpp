@@ -40,6 +40,39 @@ TEST(Pipeline, WithoutAPaceAPauseOfThePicturesLosesNoSample) {
   ASSERT_TRUE(counters.ok());
   EXPECT_EQ(run.stage.samples, 10'001u) << "five times what the ring holds, between two frames";
   EXPECT_EQ(run.stage.samples_late, 0u);
+  EXPECT_EQ(run.sink.readings.size(), 10'001u) << "the sink has each of them, too";
+  EXPECT_TRUE(std::is_sorted(run.sink.readings.begin(), run.sink.readings.end()));
+}
+
+TEST(Pipeline, InOneThreadTheSinkHasEachReading) {
+  TestRun run(3);
+  run.options.sequential = true;
+  run.camera.step_ns = 5 * rt::kNsPerSecond;
+  FakeImu imu(100'000);
+  run.options.imu = &imu;
+  ASSERT_TRUE(run.go().ok());
+  EXPECT_EQ(run.stage.samples, 10'001u);
+  EXPECT_EQ(run.sink.readings.size(), 10'001u) << "more than its ring holds, between two frames";
+  EXPECT_FALSE(run.sink.records.at(2).load.known) << "nothing waits for anybody";
+}
+
+TEST(Pipeline, AFrameKnowsHowBusyTheFlightWas) {
+  TestRun run(60);
+  run.options.newest_frame = true;
+  run.camera.period_ns = 5 * rt::kNsPerMs;
+  run.stage.track_ns = 20 * rt::kNsPerMs;
+  run.options.scheduler.deadline_ns = rt::kNsPerMs;
+  ASSERT_TRUE(run.go().ok());
+  std::uint64_t slips = 0;
+  for (const FrameRecord& r : run.sink.records) {
+    EXPECT_EQ(r.load.known, r.fate == FrameFate::kProcessed);
+    if (!r.load.known) continue;
+    EXPECT_EQ(r.load.slips, slips++) << "each was late; it is counted from the next one on";
+    EXPECT_LT(r.load.mask_age_ns, 0);
+    EXPECT_GE(r.load.slots_free, r.load.slots_fewest);
+    EXPECT_LT(r.load.slots_fewest, 12);
+  }
+  EXPECT_GT(slips, 5u);
 }
 
 TEST(Pipeline, AtRealPaceTheImuHasItsOwnThreadAndItsFaultsAreCounted) {

@@ -85,8 +85,8 @@ TEST(FlightLog, HoldsEveryFrameAndEvent) {
   EXPECT_GE(count['D'], 111);
   EXPECT_LE(count['D'], 111 + 60);
   EXPECT_EQ(count['L'], 1);
-  EXPECT_EQ(count['F'], 9);
-  EXPECT_EQ(count['A'], 9);
+  EXPECT_EQ(count['F'], 12);
+  EXPECT_EQ(count['A'], 12);
 }
 
 TEST(FlightLog, EachFlightHasAFileOfItsOwn) {

@@ -1,11 +1,13 @@
 """A flight as godwit logs it, read by pyulog: every topic, field by field; and a file cut in the middle of a message.
 
-  pyulog_test.py WRITE_FLIGHT
+  pyulog_test.py WRITE_FLIGHT LAYOUT      LAYOUT: config/plotjuggler.xml, which must name what is there
 """
 import os
+import re
 import subprocess
 import sys
 import tempfile
+import xml.etree.ElementTree as xml
 
 import numpy as np
 import pyulog
@@ -54,6 +56,30 @@ def main():
         said = log.logged_messages[0]
         assert said.timestamp == 1_500_000 and 'TRACKING -> LOST' in said.message, said.message
         assert said.log_level_str() == 'WARNING'
+
+        np.testing.assert_array_equal(frame['state'], np.arange(30) >= 10)
+        load, imu, bus = read['load'], read['imu'], read['bus']
+        np.testing.assert_array_equal(load['slips'], np.arange(5, 30))
+        np.testing.assert_array_equal(load['rung'], 2 * (np.arange(5, 30) >= 15))
+        np.testing.assert_array_equal(load['mask_age_ms'], np.where(np.arange(5, 30) >= 20, 120, -1))
+        for field, value in (('mapper_backlog', 2), ('readings_waiting', 7), ('slots_free', 9), ('slots_fewest', 4)):
+            np.testing.assert_array_equal(load[field], value)
+        np.testing.assert_array_equal(imu['timestamp'],
+                                      (1_000_000 + 33_000 * np.arange(30)[:, None] + 5000 * np.arange(6)).ravel())
+        np.testing.assert_array_equal(imu['gyro_rad_s[2]'], np.repeat(np.arange(30) * 0.125, 6))
+        np.testing.assert_array_equal(imu['accel_m_s2[2]'], -9.8125)
+        assert list(np.flatnonzero(imu['flags'])) == list(range(18, 24))
+        for field, value in (('odometry_sent', 17), ('tx_abandoned', 3), ('sent', 1234), ('bus_off', 1), ('load_percent', 17.5),
+                             ('latency_p99_ms', 21.5), ('quality', -1), ('reset_counter', 250), ('bus_state', 3),
+                             ('autopilot_alive', 1), ('armed', 0), ('timestamp', 1_600_000)):
+            assert list(bus[field]) == [value], field
+        assert log.initial_parameters == {'camera.fps': 30.0, 'tracker.gain': 0.25}
+        # PlotJuggler calls an array's values NAME.00, NAME.01.
+        curves = [c.get('name') for c in xml.parse(sys.argv[2]).iter('curve')]
+        assert len(curves) > 20
+        for curve in curves:
+            topic, field = re.sub(r'\.(\d\d)$', lambda m: f'[{int(m[1])}]', curve).split('/')
+            assert topic in read and field in read[topic], f'{sys.argv[2]}: {curve} is not in a flight log'
 
         # The machine died while it was being written.
         with open(file, 'rb') as f:

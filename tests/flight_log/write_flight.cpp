@@ -7,6 +7,7 @@ int main(int count, char** arguments) {
   app::FlightLogOptions options;
   options.folder = arguments[1];
   options.info = {{"ver_sw", "1.2.3"}, {"version", "1.2"}, {"configuration", "camera.source = \"none\""}};
+  options.parameters = {{"camera.fps", 30}, {"tracker.gain", 0.25}};
   app::FlightLog log(options);
   for (std::uint32_t i = 0; i < 30; ++i) {
     app::FrameRecord r;
@@ -33,8 +34,41 @@ int main(int count, char** arguments) {
       r.mapping.points = 1000;
       r.mapping.outliers = 7;
     }
+    r.state = i >= 10 ? vo::State::kTracking : vo::State::kInitialising;
+    r.load.known = i >= 5;
+    r.load.rung = i >= 15 ? app::Rung::kLongPeriod : app::Rung::kFull;
+    r.load.slips = i;
+    r.load.mask_age_ns = i >= 20 ? 120'000'000 : -1;
+    r.load.mapper_backlog = 2;
+    r.load.readings_waiting = 7;
+    r.load.slots_free = 9;
+    r.load.slots_fewest = 4;
+    for (int k = 0; k < 6; ++k) {
+      hal::ImuSample s;
+      s.t_ns = r.t_capture_ns + k * 5'000'000;
+      s.gyro_rad_s = {0.5, -0.25, i * 0.125};
+      s.accel_m_s2 = {0, 0, -9.8125};
+      s.flags = i == 3 ? hal::kImuGap : 0;
+      log.reading(s);
+    }
     log.frame(r);
   }
+  app::FoundBoxes found;
+  found.t_capture_ns = 1'400'000'000;
+  log.detection(found);
+  link::LinkStatus bus;
+  bus.t_ns = 1'600'000'000;
+  bus.odometry_sent = 17;
+  bus.tx.abandoned = 3;
+  bus.bus.sent = 1234;
+  bus.bus.bus_off = 1;
+  bus.bus_load_percent = 17.5;
+  bus.latency.p99_ms = 21.5;
+  bus.quality = -1;
+  bus.reset_counter = 250;
+  bus.bus_state = hal::CanState::kBusOff;
+  bus.autopilot_alive = true;
+  log.bus(bus);
   rt::LogEntry lost;
   lost.t_ns = 1'500'000'000;
   lost.level = rt::LogLevel::kWarning;

@@ -33,6 +33,27 @@ TEST(FramePool, RefusesAbsurdLayouts) {
   EXPECT_FALSE(FramePool::create(layout(4, kMaxFrameReaders + 1)).ok());
 }
 
+TEST(FramePool, TellsHowFewSlotsWereFree) {
+  const auto pool = std::move(FramePool::create(layout(4, 1))).value();
+  EXPECT_EQ(pool->free_slots(), 4);
+  EXPECT_EQ(pool->fewest_free_slots(), 4);
+  const int a = pool->acquire(), b = pool->acquire();
+  pool->hand_out(a, 1);
+  pool->hand_out(b, 1);
+  pool->cancel(pool->acquire());
+  EXPECT_EQ(pool->free_slots(), 2);
+  FrameReturn back = pool->reader(0);
+  back.give_back(a);
+  back.give_back(b);
+  pool->cancel(pool->acquire());
+  EXPECT_EQ(pool->free_slots(), 4);
+  EXPECT_EQ(pool->fewest_free_slots(), 2);
+  for (int i = 0; i < 4; ++i) pool->hand_out(pool->acquire(), 1);
+  EXPECT_EQ(pool->acquire(), -1);
+  EXPECT_EQ(pool->free_slots(), 0);
+  EXPECT_EQ(pool->fewest_free_slots(), 0);
+}
+
 TEST(FramePool, PartsOfAllSlotsAreAlignedAndDoNotOverlap) {
   const auto pool = std::move(FramePool::create(layout(3, 1))).value();
   struct Part {
