@@ -77,9 +77,11 @@ def main():
         # PlotJuggler calls an array's values NAME.00, NAME.01.
         curves = [c.get('name') for c in xml.parse(sys.argv[2]).iter('curve')]
         assert len(curves) > 20
+        known = {(topic, name): max(size, 1) for topic, form in log.message_formats.items() for _, size, name in form.fields}
         for curve in curves:
-            topic, field = re.sub(r'\.(\d\d)$', lambda m: f'[{int(m[1])}]', curve).split('/')
-            assert topic in read and field in read[topic], f'{sys.argv[2]}: {curve} is not in a flight log'
+            name, index = re.fullmatch(r'(.*?)(?:\.(\d\d))?', curve).groups()
+            size = known.get(tuple(name.split('/')), 0)
+            assert size > int(index or 0) and (size > 1) == bool(index), f'{sys.argv[2]}: {curve} is not in a flight log'
 
         # The machine died while it was being written.
         with open(file, 'rb') as f:
