@@ -65,19 +65,25 @@ rt::Result<std::string> read_text_file(const std::string& file) {
   return std::string(bytes.value().begin(), bytes.value().end());
 }
 
-rt::Result<void> for_each_record(std::string_view text, const std::string& name,
-                                 const std::function<std::string(std::string_view line, int number)>& read_line) {
+rt::Result<std::string> for_each_record(
+    std::string_view text, const std::string& name,
+    const std::function<std::string(std::string_view line, int number)>& read_line) {
   int number = 0;
+  bool any = false;
   while (!text.empty()) {
     const std::size_t end = text.find('\n');
     const std::string_view line = trim(text.substr(0, end));
-    text.remove_prefix(end == std::string_view::npos ? text.size() : end + 1);
+    const bool cut_off = end == std::string_view::npos;
+    text.remove_prefix(cut_off ? text.size() : end + 1);
     ++number;
     if (line.empty() || line.front() == '#') continue;
     const std::string reason = read_line(line, number);
-    if (!reason.empty()) return rt::Error{name + ":" + std::to_string(number) + ": " + reason};
+    const std::string words = name + ":" + std::to_string(number) + ": " + reason;
+    if (!reason.empty() && cut_off && any) return words + "; the file breaks off there, what comes before is used";
+    if (!reason.empty()) return rt::Error{words};
+    any = true;
   }
-  return {};
+  return std::string();
 }
 
 std::string_view take_field(std::string_view* text, char separator) {

@@ -19,9 +19,10 @@ rt::Result<std::string> read_text_file(const std::string& file);
 
 /// Calls read_line(line, number) for each line, without blanks around it, that is neither empty nor a comment ('#');
 /// number counts all lines from 1. It returns what is wrong with the line; empty: nothing. Error: the first such
-/// reason, with name and line.
-rt::Result<void> for_each_record(std::string_view text, const std::string& name,
-                                 const std::function<std::string(std::string_view line, int number)>& read_line);
+/// reason, with name and line. A last line that ends without its line break, after others, is where a recording was cut
+/// off: what is wrong with that one is no error but returned, in words with name and line; empty: nothing was.
+rt::Result<std::string> for_each_record(std::string_view text, const std::string& name,
+                                        const std::function<std::string(std::string_view line, int number)>& read_line);
 
 /// Takes what stands before the first separator off *text, without blanks around either. ' ' stands for any blanks.
 std::string_view take_field(std::string_view* text, char separator);

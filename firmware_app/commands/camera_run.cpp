@@ -224,8 +224,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   rt::Result<PipelineCounters> run = rt::Error{""};
   {
     ProgressBar bar(plan.total);
-    ShowingSink sink(&writer, plan.beside, recorder.get(), flight_log.get(), &bar, autopilot,
-                     arm_memory(config));
+    ShowingSink sink(&writer, plan.beside, recorder.get(), flight_log.get(), &bar, autopilot, arm_memory(config));
     run = run_pipeline(camera, parts.stage.get(), parts.pool.get(), pipeline, &sink,
                        autopilot != nullptr ? autopilot->stop() : stop);
   }

@@ -34,6 +34,11 @@ void take_mover_options(const ReplayArguments& a, const ConfigReport& file, Conf
   config->detector.small_model.clear();
 }
 
+/// A recording of a machine that died is flown as far as it is whole.
+void tell_cut_off(const std::string& words) {
+  if (!words.empty()) fmt::print(stderr, "godwit: warning: {}\n", words);
+}
+
 }  // namespace
 
 void add_replay_command(CLI::App* app, ReplayArguments* a) {
@@ -248,6 +253,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   replay.time = &time;
   auto camera = hal::ReplayCamera::open(a.sequence, replay);
   if (!camera) return refuse(camera.error().message);
+  tell_cut_off(camera.value()->cut_off());
   std::unique_ptr<hal::ReplayImu> imu;
   std::vector<hal::ImuSample> readings;
   if (!a.write_calibration.empty() && a.imu == "off") {
@@ -257,13 +263,16 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
     auto record = hal::read_imu_record(a.sequence);
     if (!record) return refuse(record.error().message);
+    tell_cut_off(record.value().cut_off);
     if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
   }
   std::unique_ptr<hal::ReplayAids> aids;
   if (!a.aids.empty()) {
-    auto record = hal::read_aid_record(a.sequence, hal::parse_aid_kinds(a.aids).value());
+    std::vector<std::string> cut_off;
+    auto record = hal::read_aid_record(a.sequence, hal::parse_aid_kinds(a.aids).value(), &cut_off);
     if (!record) return refuse("--aids: " + record.error().message);
+    for (const std::string& words : cut_off) tell_cut_off(words);
     aids = std::make_unique<hal::ReplayAids>(std::move(record).value(), &time);
   }
   const hal::CameraCalibration& calibration = camera.value()->calibration();

@@ -87,6 +87,7 @@ rt::Result<void> DaemonCamera::replay(const Config::Camera& config, const Say& s
     auto camera = hal::ReplayCamera::open(config.sequence, options);
     if (camera) {
       if (!told.empty()) say("camera: " + config.sequence + " is there");
+      if (const std::string& words = camera.value()->cut_off(); !words.empty()) say("warning: camera: " + words);
       calibration_ = camera.value()->calibration();
       camera_ = std::move(camera).value();
       return {};

@@ -41,8 +41,8 @@ std::string name_of(std::uint64_t number) {
   return std::string(kNameDigits - std::min(kNameDigits, digits.size()), '0') + digits + ".ulg";
 }
 
-/// The disc is made to have the folder's list of files: a file without its name is lost. A file system that cannot do it
-/// keeps the list by other means.
+/// The disc is made to have the folder's list of files: a file without its name is lost. A file system that cannot do
+/// it keeps the list by other means.
 void keep_names(const fs::path& folder) {
   const int fd = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (fd < 0) return;

@@ -93,18 +93,39 @@ constexpr std::array<Field, 17> kLoadFields = {{{"uint64_t", "timestamp"},
                                                 {"uint8_t", "rung"}}};
 constexpr std::array<Field, 4> kImuFields = {
     {{"uint64_t", "timestamp"}, {"float[3]", "gyro_rad_s"}, {"float[3]", "accel_m_s2"}, {"uint8_t", "flags"}}};
-constexpr std::array<Field, 33> kBusFields = {
-    {{"uint64_t", "timestamp"},      {"uint64_t", "odometry_sent"},   {"uint64_t", "poses_stale"},
-     {"uint64_t", "poses_paced"},    {"uint64_t", "pictures_repeated"}, {"uint64_t", "tx_frames"},
-     {"uint64_t", "tx_messages"},    {"uint64_t", "poses_replaced"},  {"uint64_t", "tx_refused"},
-     {"uint64_t", "tx_abandoned"},   {"uint64_t", "sent"},            {"uint64_t", "received"},
-     {"uint64_t", "send_full"},      {"uint64_t", "send_failed"},     {"uint64_t", "receive_failed"},
-     {"uint64_t", "receive_malformed"}, {"uint64_t", "receive_overflow"}, {"uint64_t", "error_frames"},
-     {"uint64_t", "bus_off"},        {"uint64_t", "reopened"},        {"float", "load_percent"},
-     {"float", "latency_p50_ms"},    {"float", "latency_p99_ms"},     {"float", "own_p50_ms"},
-     {"float", "own_p99_ms"},        {"float", "round_trip_ms"},      {"int8_t", "quality"},
-     {"uint8_t", "reset_counter"},   {"uint8_t", "bus_state"},        {"uint8_t", "armed"},
-     {"uint8_t", "autopilot_alive"}, {"uint8_t", "synchronised"},     {"uint8_t", "own_id_heard"}}};
+constexpr std::array<Field, 33> kBusFields = {{{"uint64_t", "timestamp"},
+                                               {"uint64_t", "odometry_sent"},
+                                               {"uint64_t", "poses_stale"},
+                                               {"uint64_t", "poses_paced"},
+                                               {"uint64_t", "pictures_repeated"},
+                                               {"uint64_t", "tx_frames"},
+                                               {"uint64_t", "tx_messages"},
+                                               {"uint64_t", "poses_replaced"},
+                                               {"uint64_t", "tx_refused"},
+                                               {"uint64_t", "tx_abandoned"},
+                                               {"uint64_t", "sent"},
+                                               {"uint64_t", "received"},
+                                               {"uint64_t", "send_full"},
+                                               {"uint64_t", "send_failed"},
+                                               {"uint64_t", "receive_failed"},
+                                               {"uint64_t", "receive_malformed"},
+                                               {"uint64_t", "receive_overflow"},
+                                               {"uint64_t", "error_frames"},
+                                               {"uint64_t", "bus_off"},
+                                               {"uint64_t", "reopened"},
+                                               {"float", "load_percent"},
+                                               {"float", "latency_p50_ms"},
+                                               {"float", "latency_p99_ms"},
+                                               {"float", "own_p50_ms"},
+                                               {"float", "own_p99_ms"},
+                                               {"float", "round_trip_ms"},
+                                               {"int8_t", "quality"},
+                                               {"uint8_t", "reset_counter"},
+                                               {"uint8_t", "bus_state"},
+                                               {"uint8_t", "armed"},
+                                               {"uint8_t", "autopilot_alive"},
+                                               {"uint8_t", "synchronised"},
+                                               {"uint8_t", "own_id_heard"}}};
 
 struct TopicFields {
   const char* name;
@@ -185,8 +206,8 @@ ulog::Sample load(const FrameRecord& r) {
   out.put(l.slips).put(l.detections).put(l.detections_failed).put(l.detections_late).put(l.detector_stuck);
   out.put(l.keyframes_undetected).put(l.records_lost).put(l.events_lost);
   out.put(l.mask_age_ns < 0 ? -1.0F : ms(l.mask_age_ns));
-  for (const std::int32_t n : {l.frames_waiting, l.readings_waiting, l.mapper_backlog, l.records_waiting, l.slots_free,
-                               l.slots_fewest}) {
+  for (const std::int32_t n :
+       {l.frames_waiting, l.readings_waiting, l.mapper_backlog, l.records_waiting, l.slots_free, l.slots_fewest}) {
     out.put(n);
   }
   out.put(static_cast<std::uint8_t>(l.rung));
@@ -206,8 +227,8 @@ ulog::Sample bus(const link::LinkStatus& s) {
                                 b.receive_overflow, b.error_frames, b.bus_off, b.reopened}) {
     out.put(n);
   }
-  for (const double x : {s.bus_load_percent, s.latency.p50_ms, s.latency.p99_ms, s.own_p50_ms, s.own_p99_ms,
-                         s.round_trip_ms}) {
+  for (const double x :
+       {s.bus_load_percent, s.latency.p50_ms, s.latency.p99_ms, s.own_p50_ms, s.own_p99_ms, s.round_trip_ms}) {
     out.put(static_cast<float>(x));
   }
   out.put(s.quality).put(s.reset_counter).put(static_cast<std::uint8_t>(s.bus_state));

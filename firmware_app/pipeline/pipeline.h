@@ -124,11 +124,11 @@ struct PipelineCounters {
   std::uint64_t dropped_slots = 0;
   std::uint64_t dropped_late = 0;
   // Threads only.
-  std::uint64_t records_lost = 0;  ///< finished frames that the sink was too slow to take
-  std::uint64_t events_lost = 0;   ///< the same of events
-  std::uint64_t readings_lost = 0; ///< the same of readings, for the sink alone: the tracker had them
-  SchedulerCounters scheduler;     ///< real pace
-  Rung rung = Rung::kFull;         ///< at the end
+  std::uint64_t records_lost = 0;   ///< finished frames that the sink was too slow to take
+  std::uint64_t events_lost = 0;    ///< the same of events
+  std::uint64_t readings_lost = 0;  ///< the same of readings, for the sink alone: the tracker had them
+  SchedulerCounters scheduler;      ///< real pace
+  Rung rung = Rung::kFull;          ///< at the end
   std::vector<ThreadReport> threads;
   AsFlownCounters as_flown;
   std::optional<ImuCounters> imu;  ///< if there was one

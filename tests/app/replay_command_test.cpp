@@ -107,6 +107,16 @@ TEST_F(Replay, WatchesTheImuBesideTheCamera) {
   EXPECT_THAT(replay("--imu watch --loop 2").text, HasSubstr("nobody measured the way back"));
 }
 
+TEST_F(Replay, ARecordingThatBreaksOffIsFlownAsFarAsItIsWhole) {
+  std::string list = read_file(sequence() + "/rgb.txt");
+  write_file(sequence() + "/rgb.txt", list.substr(0, list.rfind(' ')));
+  write_file(sequence() + "/imu.txt", "100.0 0 0 0 0 0 -9.8\n100.1 0 0 0 0 0 -9.8\n100.2 0 0");
+  const Outcome run = replay("--imu watch --sequential");
+  EXPECT_EQ(run.exit_code, 0) << run.text;
+  EXPECT_THAT(run.text, AllOf(HasSubstr("rgb.txt:13: no file name behind the time; the file breaks off there"),
+                              HasSubstr("imu.txt:3: '' is not"), HasSubstr("11 frames")));
+}
+
 TEST_F(Replay, WritesALineForEachPictureInBothModes) {
   for (const char* mode : {"--sequential", "", "--pace real"}) {
     const Outcome outcome = replay(mode);

@@ -57,6 +57,18 @@ TEST(TumIndex, RefusesWithFileLineAndReason) {
   EXPECT_THAT(binary.error().message, HasSubstr("'.....'"));
 }
 
+TEST(TumIndex, AListThatBreaksOffIsReadUpToThere) {
+  const auto index = parse_tum_index("1.0 a.png\n2.0 b.png\n3.", "rgb.txt");
+  ASSERT_TRUE(index.ok()) << index.error().message;
+  EXPECT_EQ(index.value().entries.size(), 2u);
+  EXPECT_EQ(index.value().cut_off,
+            "rgb.txt:3: '3.' is not a time in decimal seconds; the file breaks off there, what comes "
+            "before is used");
+  EXPECT_EQ(parse_tum_index("1.0 a.png\n2.0 b.png", "rgb.txt").value().cut_off, "");
+  EXPECT_FALSE(parse_tum_index("1.0 a.png\n3.\n4.0 c.png", "rgb.txt").ok()) << "not at its end";
+  EXPECT_FALSE(parse_tum_index("# head\n1.0", "rgb.txt").ok()) << "nothing comes before";
+}
+
 TEST(TumIndex, MarksTimesThatRepeatOrGoBackAgainstTheNewestSoFar) {
   const auto index = parse_tum_index("1 a\n2 b\n2 c\n1.5 d\n2 e\n3 f\n", "rgb.txt");
   ASSERT_TRUE(index.ok());

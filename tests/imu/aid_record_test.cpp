@@ -47,6 +47,14 @@ TEST(AidRecord, WhatCannotBeReadIsNamed) {
   EXPECT_THAT(missing.error().message, HasSubstr("/nowhere/range.csv"));
 }
 
+TEST(AidRecord, AFileThatBreaksOffIsReadUpToThere) {
+  std::string words;
+  const auto range = parse_aid(AidKind::kRange, "t,range_m,valid\n1,3,1\n2,4", "range.csv", &words);
+  ASSERT_TRUE(range.ok()) << range.error().message;
+  EXPECT_EQ(range.value().size(), 1u);
+  EXPECT_THAT(words, HasSubstr("range.csv:3: "));
+}
+
 TEST(AidRecord, TheListOfKindsIsCheckedWordByWord) {
   const auto both = parse_aid_kinds("gnss,range");
   ASSERT_TRUE(both.ok());

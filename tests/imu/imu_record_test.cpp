@@ -53,6 +53,14 @@ TEST(ImuRecord, ALineThatCannotBeReadIsToldWithItsPlace) {
   EXPECT_THAT(parse_tum_imu("# nothing\n", "imu.txt").error().message, HasSubstr("imu.txt: holds no samples"));
 }
 
+TEST(ImuRecord, ARecordThatBreaksOffIsReadUpToThere) {
+  const auto r = parse_euroc_imu("# head\n12,0,0,0,0,0,0\n13,0,0,0,0,0,0\n14,0,0,0", "data.csv");
+  ASSERT_TRUE(r.ok()) << r.error().message;
+  EXPECT_EQ(r.value().samples.size(), 2u);
+  EXPECT_THAT(r.value().cut_off, HasSubstr("data.csv:4: '' is not an acceleration"));
+  EXPECT_THAT(r.value().cut_off, HasSubstr("breaks off there, what comes before is used"));
+}
+
 TEST(ImuRecord, TimesThatRepeatOrGoBackAreLeftOutAndCounted) {
   const auto r = parse_tum_imu("1.0 0 0 0 0 0 0\n1.0 0 0 0 0 0 0\n0.5 0 0 0 0 0 0\n1.1 0 0 0 0 0 0\n", "imu.txt");
   ASSERT_TRUE(r.ok());

@@ -58,7 +58,7 @@ const char* aid_columns(AidKind kind) {
   return kColumns[static_cast<std::size_t>(kind)];
 }
 
-rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name) {
+rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name, std::string* cut_off) {
   AidRecord record;
   bool named = false;
   const auto read = for_each_record(text, name, [&](std::string_view line, int /*number*/) -> std::string {
@@ -79,17 +79,21 @@ rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::
     return {};
   });
   if (!read) return read.error();
+  if (cut_off != nullptr) *cut_off = read.value();
   return record;
 }
 
-rt::Result<AidRecord> read_aid_record(const std::string& folder, const std::vector<AidKind>& kinds) {
+rt::Result<AidRecord> read_aid_record(const std::string& folder, const std::vector<AidKind>& kinds,
+                                      std::vector<std::string>* cut_off) {
   AidRecord all;
   for (const AidKind kind : kinds) {
     const std::string file = folder + "/" + aid_name(kind) + ".csv";
     const auto text = read_text_file(file);
     if (!text) return text.error();
-    auto record = parse_aid(kind, text.value(), file);
+    std::string words;
+    auto record = parse_aid(kind, text.value(), file, &words);
     if (!record) return record.error();
+    if (cut_off != nullptr && !words.empty()) cut_off->push_back(std::move(words));
     all.insert(all.end(), record.value().begin(), record.value().end());
   }
   std::stable_sort(all.begin(), all.end(), [](const AidSample& a, const AidSample& b) { return a.t_ns < b.t_ns; });

@@ -17,11 +17,14 @@ using AidRecord = std::vector<AidSample>;
 /// The columns that a file must begin with (docs/formats.md); its first line names them.
 const char* aid_columns(AidKind kind);
 /// Lines without an echo or a fix are left out. Error: names the file, line and reason; a line that cannot be read
-/// refuses the whole file.
-rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name);
+/// refuses the whole file, but the last one of a file that breaks off there: *cut_off says so.
+rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name,
+                                std::string* cut_off = nullptr);
 
-/// Reads FOLDER/range.csv, baro.csv or gnss.csv for each kind wanted. Error: one is not there, or as above. Blocks.
-rt::Result<AidRecord> read_aid_record(const std::string& folder, const std::vector<AidKind>& kinds);
+/// Reads FOLDER/range.csv, baro.csv or gnss.csv for each kind wanted. Error: one is not there, or as above. *cut_off: a
+/// line for each that breaks off. Blocks.
+rt::Result<AidRecord> read_aid_record(const std::string& folder, const std::vector<AidKind>& kinds,
+                                      std::vector<std::string>* cut_off = nullptr);
 
 /// "range,baro,gnss", or some of them. Error: another word, or one twice.
 rt::Result<std::vector<AidKind>> parse_aid_kinds(std::string_view list);

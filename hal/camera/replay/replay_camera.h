@@ -69,6 +69,8 @@ class ReplayCamera final : public Camera {
                     std::string* why) override;
 
   const CameraCalibration& calibration() const { return calibration_; }
+  /// Where the list of pictures breaks off; empty: it does not.
+  const std::string& cut_off() const { return index_.cut_off; }
   const SequenceLayout& layout() const { return layout_; }
   /// Pictures that will be due in all.
   std::int64_t total() const { return total_; }

@@ -25,6 +25,7 @@ rt::Result<SequenceIndex> parse(std::string_view text, const std::string& name, 
     return {};
   });
   if (!read) return read.error();
+  index.cut_off = read.value();
   if (index.entries.empty()) return rt::Error{name + ": lists no pictures"};
   return index;
 }

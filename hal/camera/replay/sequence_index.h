@@ -28,10 +28,12 @@ struct SequenceEntry {
 
 struct SequenceIndex {
   std::vector<SequenceEntry> entries;  ///< in the order of the file; never empty
+  std::string cut_off;                 ///< where and how the list breaks off in its last line; empty: it does not
 };
 
 /// Lines "seconds file" ('#' starts a comment). Digits behind the ninth decimal are cut off. Error: names the file,
-/// line and reason; a line that cannot be read refuses the whole index, and so does an index without pictures.
+/// line and reason; a line that cannot be read refuses the whole index (but the last, cut_off), and so does an index
+/// without pictures.
 rt::Result<SequenceIndex> parse_tum_index(std::string_view text, const std::string& name);
 
 /// Lines "nanoseconds,file". Errors as above.

@@ -62,6 +62,7 @@ rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char
     return {};
   });
   if (!read) return read.error();
+  record.cut_off = read.value();
   if (record.samples.empty()) return rt::Error{name + ": holds no samples"};
   record.rate_hz = rate_of(record.samples);
   return record;

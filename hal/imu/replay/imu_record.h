@@ -15,11 +15,12 @@ struct ImuRecord {
   std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
   std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
   double rate_hz = 0;               ///< by the median of the steps; 0: a single sample
+  std::string cut_off;              ///< where and how it breaks off in its last line; empty: it does not
 };
 
 /// Lines "nanoseconds,wx,wy,wz,ax,ay,az" [rad/s], [m/s^2]; '#' starts a comment. Error: names the file, line and
-/// reason; a line that cannot be read refuses the whole record (also one that is not finite, beyond 100 rad/s or
-/// 1000 m/s^2), and so does a record without samples.
+/// reason; a line that cannot be read refuses the whole record (but the last, cut_off; also one that is not finite,
+/// beyond 100 rad/s or 1000 m/s^2), and so does a record without samples.
 rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& name);
 
 /// Lines "seconds wx wy wz ax ay az". Errors as above.
