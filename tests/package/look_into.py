@@ -26,7 +26,8 @@ CONTENT = {
         '/etc/godwit/godwit.toml', '/usr/bin/godwit', '/usr/bin/godwitd', '/usr/lib/systemd/system/godwitd.service',
         '/usr/lib/systemd/network/80-godwit-can0.network', '/usr/lib/sysusers.d/godwit.conf', '/usr/lib/udev/rules.d/80-godwit.rules',
         '/usr/share/bash-completion/completions/godwit', '/usr/share/doc/godwit/changelog.Debian.gz',
-        '/usr/share/doc/godwit/copyright', '/usr/share/doc/godwit/godwit.spdx.json', '/usr/share/godwit/scenarios/street.toml',
+        '/usr/share/doc/godwit/copyright', '/usr/share/doc/godwit/godwit.spdx.json', '/usr/share/godwit/godwit.dbc',
+        '/usr/share/godwit/plotjuggler.xml', '/usr/share/godwit/scenarios/street.toml',
         '/usr/share/man/man1/godwit.1.gz', '/usr/share/man/man8/godwitd.8.gz'],
     'godwit-models': [
         '/usr/share/doc/godwit-models/copyright', '/usr/share/godwit/models/README.md',
