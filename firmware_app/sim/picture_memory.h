@@ -7,8 +7,8 @@
 
 namespace godwit::app {
 
-/// Looked at before hours go into drawing them. Error: what they need and what is free, in words; a fifth is left to the
-/// run itself and to others.
+/// Looked at before hours go into drawing them. Error: what they need and what is free, in words; a fifth is left to
+/// the run itself and to others.
 rt::Result<void> room_for_pictures(std::int64_t pictures, int width, int height);
 
 }  // namespace godwit::app
