@@ -33,7 +33,7 @@ struct BoxList {
   /// Returns false when full; the box is then dropped.
   bool push(const Box& b) {
     if (count == kMaxBoxes) return false;
-    box[static_cast<std::size_t>(count++)] = b;
+    box[count++] = b;
     return true;
   }
 };

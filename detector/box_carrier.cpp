@@ -31,7 +31,7 @@ void BoxCarrier::clear() {
 bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotion> features,
                          const CameraMotion& camera) {
   if (t_capture_ns <= now_ns_) return false;
-  Step& step = history_[static_cast<std::size_t>(head_)];
+  Step& step = history_[head_];
   head_ = (head_ + 1) % kHistory;
   held_ = std::min(held_ + 1, kHistory);
   step.t_ns = now_ns_ = t_capture_ns;
@@ -39,7 +39,7 @@ bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotio
   step.count = 0;
   for (const FeatureMotion& f : features) {
     if (step.count == kMaxFeatures) break;
-    if (finite(f)) step.features[static_cast<std::size_t>(step.count++)] = f;
+    if (finite(f)) step.features[step.count++] = f;
   }
   move_all(step);
   remember(&step);
@@ -49,12 +49,12 @@ bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotio
 
 void BoxCarrier::remember(Step* step) const {
   step->boxes.count = carried_.count;
-  for (int i = 0; i < carried_.count; ++i) step->boxes.box[static_cast<std::size_t>(i)] = to_the_edge(i);
+  for (int i = 0; i < carried_.count; ++i) step->boxes.box[i] = to_the_edge(i);
 }
 
 Box BoxCarrier::to_the_edge(int i) const {
-  Box box = carried_.box[static_cast<std::size_t>(i)];
-  const Edges cut = cut_[static_cast<std::size_t>(i)];
+  Box box = carried_.box[i];
+  const Edges cut = cut_[i];
   if (cut.left) box.x0 = std::min(box.x0, 0.F);
   if (cut.top) box.y0 = std::min(box.y0, 0.F);
   if (cut.right) box.x1 = std::max(box.x1, static_cast<float>(width_));
@@ -65,7 +65,7 @@ Box BoxCarrier::to_the_edge(int i) const {
 bool BoxCarrier::boxes_at(std::int64_t t_capture_ns, std::span<const Box>* boxes) const {
   if (seen_ns_ == INT64_MIN || t_capture_ns < seen_ns_) return false;
   for (int i = 0; i < held_; ++i) {
-    const Step& step = history_[static_cast<std::size_t>((head_ - 1 - i + kHistory) % kHistory)];
+    const Step& step = history_[(head_ - 1 - i + kHistory) % kHistory];
     if (step.t_ns != t_capture_ns) continue;
     *boxes = step.boxes.view();
     return true;
@@ -77,7 +77,7 @@ bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) 
   if (held_ == 0 || t_capture_ns < seen_ns_ || t_capture_ns > now_ns_) return false;
   // Without the step that came right after the detection's picture the way forward has a gap.
   const int oldest = (head_ - held_ + kHistory) % kHistory;
-  if (t_capture_ns < history_[static_cast<std::size_t>(oldest)].t_ns) return false;
+  if (t_capture_ns < history_[oldest].t_ns) return false;
   seen_ns_ = t_capture_ns;
   carried_.clear();
   for (const Box& b : boxes) {
@@ -85,10 +85,10 @@ bool BoxCarrier::replace(std::int64_t t_capture_ns, std::span<const Box> boxes) 
                        b.x0 < b.x1 && b.y0 < b.y1;
     if (!sound) continue;
     if (!carried_.push(b)) break;
-    cut_[static_cast<std::size_t>(carried_.count - 1)] = cut_off(b);
+    cut_[carried_.count - 1] = cut_off(b);
   }
   for (int i = 0; i < held_; ++i) {
-    Step& step = history_[static_cast<std::size_t>((oldest + i) % kHistory)];
+    Step& step = history_[(oldest + i) % kHistory];
     if (step.t_ns < t_capture_ns) continue;
     if (step.t_ns > t_capture_ns) move_all(step);
     remember(&step);
@@ -101,10 +101,10 @@ void BoxCarrier::move_all(const Step& step) {
   int kept = 0;
   const bool stale = seen_ns_ == INT64_MIN || step.t_ns - seen_ns_ > limits_.max_age_ns;
   for (int i = 0; i < carried_.count && !stale; ++i) {
-    Box box = carried_.box[static_cast<std::size_t>(i)];
+    Box box = carried_.box[i];
     if (!move_box(step, &box)) continue;
-    cut_[static_cast<std::size_t>(kept)] = cut_[static_cast<std::size_t>(i)];
-    carried_.box[static_cast<std::size_t>(kept++)] = box;
+    cut_[kept] = cut_[i];
+    carried_.box[kept++] = box;
   }
   carried_.count = kept;
 }
@@ -118,10 +118,10 @@ BoxCarrier::Edges BoxCarrier::cut_off(const Box& box) const {
 bool BoxCarrier::move_box(const Step& step, Box* box) {
   int n = 0;
   for (int i = 0; i < step.count; ++i) {
-    const FeatureMotion& f = step.features[static_cast<std::size_t>(i)];
+    const FeatureMotion& f = step.features[i];
     if (f.x_before < box->x0 || f.x_before >= box->x1 || f.y_before < box->y0 || f.y_before >= box->y1) continue;
-    dx_[static_cast<std::size_t>(n)] = f.x - f.x_before;
-    dy_[static_cast<std::size_t>(n++)] = f.y - f.y_before;
+    dx_[n] = f.x - f.x_before;
+    dy_[n++] = f.y - f.y_before;
   }
   const float cx = 0.5F * (box->x0 + box->x1), cy = 0.5F * (box->y0 + box->y1);
   float nx, ny, grow = 1.F;
@@ -134,11 +134,10 @@ bool BoxCarrier::move_box(const Step& step, Box* box) {
     int m = 0;
     const float shortest = 0.2F * std::min(box->width(), box->height());
     for (int i = 0; i < step.count; ++i) {
-      const FeatureMotion& f = step.features[static_cast<std::size_t>(i)];
+      const FeatureMotion& f = step.features[i];
       if (f.x_before < box->x0 || f.x_before >= box->x1 || f.y_before < box->y0 || f.y_before >= box->y1) continue;
       const float before = std::hypot(f.x_before - cx, f.y_before - cy);
-      if (before > shortest && before > 4.F)
-        ratio_[static_cast<std::size_t>(m++)] = std::hypot(f.x - nx, f.y - ny) / before;
+      if (before > shortest && before > 4.F) ratio_[m++] = std::hypot(f.x - nx, f.y - ny) / before;
     }
     // Between two pictures nothing near enough to matter changes by more than a tenth.
     if (m >= 4) grow = std::clamp(median(ratio_.data(), m), 0.9F, 1.1F);

@@ -31,7 +31,7 @@ BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : 
 void BoxMask::mask_box(const Box& box) {
   const float mx = margin_.pixels + margin_.share * box.width(), my = margin_.pixels + margin_.share * box.height();
   for (int l = 0; l < view_.levels; ++l) {
-    const rt::MutableImageView& image = level_[static_cast<std::size_t>(l)];
+    const rt::MutableImageView& image = level_[l];
     const float shrink = 1.F / static_cast<float>(1 << l);
     // Clamped as floating point first: a huge value must not overflow the conversion.
     const auto edge = [](float v, int limit) {
@@ -50,7 +50,7 @@ void BoxMask::update(std::span<const Box> boxes, const std::vector<bool>& movabl
   std::fill(storage_.begin(), storage_.end(), std::uint8_t{0});
   for (const Box& box : boxes) {
     const bool known = box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < movable.size();
-    if (known && !movable[static_cast<std::size_t>(box.class_id)]) continue;
+    if (known && !movable[box.class_id]) continue;
     // Also false for NaN.
     const bool sound = std::isfinite(box.x0) && std::isfinite(box.y0) && std::isfinite(box.x1) &&
                        std::isfinite(box.y1) && box.x0 < box.x1 && box.y0 < box.y1;
@@ -59,7 +59,7 @@ void BoxMask::update(std::span<const Box> boxes, const std::vector<bool>& movabl
 }
 
 float BoxMask::covered() const {
-  const rt::ImageView& coarsest = view_.level[static_cast<std::size_t>(view_.levels - 1)];
+  const rt::ImageView& coarsest = view_.level[view_.levels - 1];
   int masked = 0;
   for (int y = 0; y < coarsest.height; ++y) {
     const std::uint8_t* row = coarsest.row(y);

@@ -38,9 +38,9 @@ bool suppressed(const Box& box, const BoxList& kept, float nms_iou) {
 }
 
 Decoder::Decoder(const ModelInfo& info, const DecodeOptions& options) : info_(info), options_(options) {
-  candidates_.reserve(static_cast<std::size_t>(info.output_rows()));
+  candidates_.reserve(info.output_rows());
   if (info.layout != Layout::kYolox) return;
-  cells_.reserve(static_cast<std::size_t>(info.output_rows()));
+  cells_.reserve(info.output_rows());
   for (const int stride : {8, 16, 32}) {
     for (int y = 0; y < info.input_height / stride; ++y) {
       for (int x = 0; x < info.input_width / stride; ++x) {
@@ -68,7 +68,7 @@ bool Decoder::read_row(const float* v, int row, const LetterboxFit& fit, Candida
   if (!(score >= options_.score_threshold && best_score <= 1.001F)) return false;
   float cx = v[0], cy = v[1], w = v[2], h = v[3];
   if (info_.layout == Layout::kYolox) {
-    const Cell& cell = cells_[static_cast<std::size_t>(row)];
+    const Cell& cell = cells_[row];
     cx = (cx + cell.x) * cell.stride;
     cy = (cy + cell.y) * cell.stride;
     w = std::exp(w) * cell.stride;

@@ -165,13 +165,6 @@ rt::Result<void> Detector::State::look_at_tiles(const PictureView& picture, BoxL
   return {};
 }
 
-rt::Result<Backend> parse_backend(std::string_view text) {
-  if (text == "cpu") return Backend::kCpu;
-  if (text == "cuda") return Backend::kCuda;
-  if (text == "cuda_fp16") return Backend::kCudaFp16;
-  return rt::Error{"detector backend \"" + std::string(text) + "\": must be cpu, cuda or cuda_fp16"};
-}
-
 rt::Result<Detector> Detector::open(const std::string& model_path, const DetectorOptions& options) {
   std::error_code ignored;
   if (!std::filesystem::is_regular_file(model_path, ignored)) return rt::Error{model_path + ": no such file"};
@@ -232,7 +225,7 @@ const ModelInfo& Detector::info() const {
 }
 bool Detector::movable(int class_id) const {
   return class_id >= 0 && static_cast<std::size_t>(class_id) < state_->info.movable.size() &&
-         state_->info.movable[static_cast<std::size_t>(class_id)];
+         state_->info.movable[class_id];
 }
 Backend Detector::backend() const {
   return state_->options.backend;

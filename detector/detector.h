@@ -15,9 +15,6 @@ namespace godwit::detector {
 
 enum class Backend { kCpu, kCuda, kCudaFp16 };
 
-/// "cpu", "cuda" or "cuda_fp16"; anything else is an error that names what is allowed.
-rt::Result<Backend> parse_backend(std::string_view text);
-
 struct DetectorOptions {
   Backend backend = Backend::kCpu;
   int threads = 1;     ///< of OpenCV, for the whole process: OpenCV has one setting only

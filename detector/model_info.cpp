@@ -131,7 +131,7 @@ rt::Result<ModelInfo> parse_model_info(std::string_view text, std::string_view n
     if (at == info.classes.end()) {
       reader.complain("movable", "names out of classes, \"" + moves + "\" is none");
     } else {
-      info.movable[static_cast<std::size_t>(at - info.classes.begin())] = true;
+      info.movable[at - info.classes.begin()] = true;
     }
   }
   info.sha256 = reader.sha256("sha256");

@@ -23,7 +23,7 @@ TileList square_tiles(int picture_width, int picture_height) {
   out.count = std::min(kMaxTiles, 1 + (longer - side + step - 1) / step);
   for (int i = 0; i < out.count; ++i) {
     const int at = i * (longer - side) / (out.count - 1);
-    out.tile[static_cast<std::size_t>(i)] = wide ? Tile{at, 0, side, shorter} : Tile{0, at, shorter, side};
+    out.tile[i] = wide ? Tile{at, 0, side, shorter} : Tile{0, at, shorter, side};
   }
   return out;
 }

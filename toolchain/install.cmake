@@ -3,7 +3,7 @@
 #   cmake --install build/release --strip --prefix DIR [--component NAME]
 include(GNUInstallDirs)
 
-# The programs look for models and scenarios in ../share/godwit beside their own folder (hal/machine/installed_data.h), so
+# The programs look for models, scenarios and tools in ../share/godwit beside their own folder (hal/machine/installed_data.h), so
 # that a prefix can be moved and nothing compiled in names one.
 set(GODWIT_DATA_DIR ${CMAKE_INSTALL_DATADIR}/godwit)
 file(RELATIVE_PATH from_programs ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE_INSTALL_FULL_DATADIR}/godwit)
@@ -15,6 +15,7 @@ endif()
 file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/share/godwit ${PROJECT_BINARY_DIR}/tests)
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/detector/models ${PROJECT_BINARY_DIR}/share/godwit/models SYMBOLIC)
 file(CREATE_LINK ${PROJECT_SOURCE_DIR}/config/scenarios ${PROJECT_BINARY_DIR}/share/godwit/scenarios SYMBOLIC)
+file(CREATE_LINK ${PROJECT_SOURCE_DIR}/scripts ${PROJECT_BINARY_DIR}/share/godwit/tools SYMBOLIC)
 file(CREATE_LINK ../share ${PROJECT_BINARY_DIR}/tests/share SYMBOLIC)
 file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/lib ${PROJECT_BINARY_DIR}/tools)
 file(CREATE_LINK ../lib ${PROJECT_BINARY_DIR}/tests/lib SYMBOLIC)

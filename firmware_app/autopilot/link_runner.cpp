@@ -4,6 +4,7 @@
 #include <pthread.h>
 
 #include "firmware_app/config/link_settings.h"
+#include "firmware_app/link/axis_words.h"
 #include "hal/rt/process_end.h"
 #include "hal/rt/rt_scope.h"
 #include "hal/rt/wake_up.h"
@@ -226,7 +227,7 @@ rt::Result<std::unique_ptr<LinkRunner>> start_link(const Config& config,
   }
   options.abandon = std::move(abandon);
   auto link = LinkRunner::start(options, user_stop);
-  if (link.ok()) log(LinkLogLevel::kInfo, "link: " + mounting_words(options.settings.link.odometry.R_body_cam));
+  if (link.ok()) log(LinkLogLevel::kInfo, "link: " + link::mounting_words(options.settings.link.odometry.R_body_cam));
   return link;
 }
 

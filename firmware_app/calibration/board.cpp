@@ -83,7 +83,7 @@ double misfit(const Board& board, const Reading& reading, const std::vector<int>
     for (int k = 0; k < 4; ++k) {
       const auto p = board.point(point_of(board, reading, ids[i], k));
       on_board.emplace_back(static_cast<float>(p[0]), static_cast<float>(p[1]));
-      in_picture.push_back(corners[i][static_cast<std::size_t>(k)]);
+      in_picture.push_back(corners[i][k]);
     }
   }
   const cv::Mat plane = cv::findHomography(on_board, in_picture);
@@ -142,8 +142,8 @@ std::vector<BoardPoint> find_grid(const Board& board, const cv::Mat& grey) {
     refine(grey, &refined,
            static_cast<float>(std::min(static_cast<double>(side), tilt) * std::max(board.spacing, 0.15)) * 2);
     for (int k = 0; k < 4; ++k) {
-      const cv::Point2f& p = refined[static_cast<std::size_t>(k)];
-      if (cv::norm(p - corners[i][static_cast<std::size_t>(k)]) > 0.2 * static_cast<double>(side)) continue;
+      const cv::Point2f& p = refined[k];
+      if (cv::norm(p - corners[i][k]) > 0.2 * static_cast<double>(side)) continue;
       out.push_back({point_of(board, best, ids[i], k), p.x, p.y});
     }
   }

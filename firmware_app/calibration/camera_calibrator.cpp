@@ -153,7 +153,7 @@ void Coverage::add(const BoardView& view, int width, int height) {
   for (const BoardPoint& p : view.points) {
     const int column = std::clamp(static_cast<int>(p.x * kColumns / width), 0, kColumns - 1);
     const int row = std::clamp(static_cast<int>(p.y * kRows / height), 0, kRows - 1);
-    ++points[static_cast<std::size_t>(row * kColumns + column)];
+    ++points[row * kColumns + column];
   }
 }
 

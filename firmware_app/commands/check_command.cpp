@@ -17,14 +17,22 @@ void add_check_command(CLI::App* app, CheckArguments* a) {
   CLI::App* check =
       app->add_subcommand("check", "Look over a configuration as godwitd would, and tell all that is wrong");
   check->add_option("--config", a->config_file, "Configuration (TOML); config/godwit.toml lists every key")
-      ->type_name("FILE")
-      ->required();
+      ->type_name("FILE");
   check->add_flag("--show", a->show, "Also print every key with the value it would have");
+  check->add_flag("--keys", a->keys, "Print every key with its default and what is allowed, and nothing else");
   check->footer(
       "Exit codes: 0 godwitd would start with it; 2 it would not.\nExample: godwit check --config /etc/godwit.toml");
 }
 
 int run_check(const CheckArguments& a) {
+  if (a.keys) {
+    for (const std::string& line : describe_config()) fmt::print("{}\n", line);
+    return kExitDone;
+  }
+  if (a.config_file.empty()) {
+    fmt::print(stderr, "godwit: --config: a file is needed, or --keys\n");
+    return kExitRefused;
+  }
   ConfigReport report = load_config(a.config_file);
   // What is out of range by itself has its default here, so the rest can be looked at as well.
   if (!report.lines.empty() || report.ok()) check_for_daemon(&report);

@@ -9,6 +9,7 @@ namespace godwit::app {
 struct CheckArguments {
   std::string config_file;
   bool show = false;
+  bool keys = false;
 };
 
 /// Describes the command to the parser; *arguments outlives it.

@@ -1,4 +1,4 @@
-// `godwit doctor`: the autopilot at the other end, its parameters, and the guided tilt test.
+// `godwit doctor`: the autopilot at the other end, and its parameters.
 #pragma once
 
 #include <atomic>
@@ -9,16 +9,14 @@
 
 namespace godwit::app {
 
+/// Five milliseconds of the link: what came, what is due.
+void step_link(link::LinkService* service);
+
 /// Opens the link (which sends no pose), waits for an autopilot, reads the parameters that matter and says which do not
 /// fit. heard: who is on the bus. viso_delay_ms: as a flight told it; absent: not compared. Null where nothing could be
 /// opened.
 std::unique_ptr<link::LinkService> examine_autopilot(const Config& config, const hal::CameraCalibration& calibration,
                                                      const BusHeard& heard, std::optional<int> viso_delay_ms,
                                                      DoctorReport* report, const std::atomic<bool>& stop);
-
-/// Guides through the tilt test: the camera tracks in the background, the user moves the vehicle and presses Enter.
-/// Reads standard input.
-void tilt_test(const Config& config, DoctorCamera* camera, link::LinkService* service, DoctorReport* report,
-               const std::atomic<bool>& stop);
 
 }  // namespace godwit::app

@@ -10,6 +10,7 @@
 #include "firmware_app/commands/doctor_imu.h"
 #include "firmware_app/commands/doctor_power.h"
 #include "firmware_app/commands/doctor_service.h"
+#include "firmware_app/commands/doctor_tilt.h"
 #include "firmware_app/commands/replay_command.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/program/exit_code.h"

@@ -163,7 +163,7 @@ std::optional<bool> kernel_has_rt_groups(const fs::path& root) {
     const int got = gzread(in, text.data(), static_cast<unsigned>(text.size()));
     gzclose(in);
     if (got <= 0) continue;
-    text.resize(static_cast<std::size_t>(got));
+    text.resize(got);
     return text.find("\nCONFIG_RT_GROUP_SCHED=y") != std::string::npos;
   }
   return std::nullopt;

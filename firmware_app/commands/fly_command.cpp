@@ -1,6 +1,7 @@
 #include "firmware_app/commands/fly_command.h"
 
 #include <filesystem>
+#include <fmt/format.h>
 #include <memory>
 
 #include "firmware_app/commands/camera_run.h"
@@ -54,6 +55,8 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   if (a.truth_masks) config.detector.enabled = false;
   const auto flight = make_flight(a.flight);
   if (!flight) return refuse(flight.error().message);
+  if (const std::string& title = flight.value()->scenario().title; !title.empty())
+    fmt::print(stderr, "{}, seed {}: {}\n", a.flight.scenario, a.flight.seed, title);
   hal::ReplayTime time;
   FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks, &time});
   std::unique_ptr<hal::ReplayImu> imu;

@@ -9,6 +9,7 @@
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/written_calibration.h"
 #include "firmware_app/config/config.h"
+#include "firmware_app/config/link_check.h"
 #include "firmware_app/config/link_settings.h"
 #include "firmware_app/link/byte_port.h"
 #include "firmware_app/program/exit_code.h"
@@ -47,8 +48,16 @@ void add_replay_command(CLI::App* app, ReplayArguments* a) {
       ->add_option(
           "SEQUENCE", a->sequence,
           "Folder in TUM layout (rgb.txt, pictures, camera.yaml) or EuRoC/ASL layout (mav0/cam0 with data.csv, "
-          "data/ and sensor.yaml; mav0 or cam0 itself will do)")
+          "data/ and sensor.yaml; mav0 or cam0 itself will do); or a video, or a folder of KITTI's odometry benchmark "
+          "(image_0/, times.txt, calib.txt), which becomes a sequence in OUT/sequence first")
       ->required();
+  replay->add_option("--camera", a->video.calibration, "With a video: its camera's calibration (camera.yaml)")
+      ->type_name("FILE");
+  replay
+      ->add_option("--fov", a->video.fov_deg,
+                   "With a video, for a first look without a calibration: the horizontal field of view in degrees")
+      ->type_name("DEG")
+      ->check(CLI::Range(10.0, 150.0));
   replay
       ->add_option("--loop", a->loop,
                    "Fly the sequence N times, forth and back in turn, with times that go on: a long flight without a "
@@ -243,6 +252,11 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
 int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   Config config;
   if (!check_run_arguments(a, &config)) return kExitRefused;
+  const auto sequence = as_sequence(a.sequence, a.video, a.out, stop);
+  if (!sequence) {
+    const int code = refuse(sequence.error().message);
+    return stop.load(std::memory_order_relaxed) ? kExitInterrupted : code;
+  }
 
   hal::ReplayOptions replay;
   replay.pace = a.pace == "real" ? hal::ReplayOptions::Pace::kReal : hal::ReplayOptions::Pace::kMax;
@@ -251,7 +265,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   replay.passes = a.loop;
   hal::ReplayTime time;
   replay.time = &time;
-  auto camera = hal::ReplayCamera::open(a.sequence, replay);
+  auto camera = hal::ReplayCamera::open(sequence.value(), replay);
   if (!camera) return refuse(camera.error().message);
   tell_cut_off(camera.value()->cut_off());
   std::unique_ptr<hal::ReplayImu> imu;
@@ -261,7 +275,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   }
   if (a.imu != "off") {
     if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
-    auto record = hal::read_imu_record(a.sequence);
+    auto record = hal::read_imu_record(sequence.value());
     if (!record) return refuse(record.error().message);
     tell_cut_off(record.value().cut_off);
     if (!a.write_calibration.empty()) readings = record.value().samples;
@@ -270,14 +284,14 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   std::unique_ptr<hal::ReplayAids> aids;
   if (!a.aids.empty()) {
     std::vector<std::string> cut_off;
-    auto record = hal::read_aid_record(a.sequence, hal::parse_aid_kinds(a.aids).value(), &cut_off);
+    auto record = hal::read_aid_record(sequence.value(), hal::parse_aid_kinds(a.aids).value(), &cut_off);
     if (!record) return refuse("--aids: " + record.error().message);
     for (const std::string& words : cut_off) tell_cut_off(words);
     aids = std::make_unique<hal::ReplayAids>(std::move(record).value(), &time);
   }
   const hal::CameraCalibration& calibration = camera.value()->calibration();
   CameraRunPlan plan;
-  plan.source = a.sequence;
+  plan.source = sequence.value();
   plan.calibration_name = camera.value()->layout().calibration_file;
   plan.out = a.out;
   plan.pace = a.pace;

@@ -6,12 +6,14 @@
 #include <cstdint>
 #include <string>
 
+#include "firmware_app/commands/foreign_sequence.h"
 #include "firmware_app/config/config.h"
 
 namespace godwit::app {
 
 struct ReplayArguments {
   std::string sequence;
+  VideoCamera video;        ///< replay only
   std::string config_file;  ///< empty: defaults
   std::string out = "out";
   std::string pace = "max";

@@ -25,7 +25,7 @@ bool seen(const FrameRecord& r) {
 Eigen::Matrix3d rotation(const std::array<double, 16>& T) {
   Eigen::Matrix3d out;
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) out(row, column) = T[static_cast<std::size_t>(4 * row + column)];
+    for (int column = 0; column < 3; ++column) out(row, column) = T[4 * row + column];
   }
   return out;
 }
@@ -71,8 +71,7 @@ rt::Result<void> write_camera_imu(const std::string& file, const hal::CameraCali
   std::array<double, 16> T =
       out.T_body_cam.value_or(std::array<double, 16>{0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1});
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column)
-      T[static_cast<std::size_t>(4 * row + column)] = fit.R_body_cam(row, column);
+    for (int column = 0; column < 3; ++column) T[4 * row + column] = fit.R_body_cam(row, column);
   }
   out.T_body_cam = T;
   out.time_offset_s = fit.time_offset_s;

@@ -129,6 +129,13 @@ ConfigReport load_config(const std::string& file) {
   return report;
 }
 
+std::vector<std::string> describe_config() {
+  Config defaults;
+  std::vector<std::string> out;
+  for (const Key& key : config_keys(&defaults)) out.push_back(key.name + " = " + key.show() + "  # " + key.allowed);
+  return out;
+}
+
 std::vector<std::string> show_config(const Config& config) {
   Config copy = config;
   std::vector<std::string> out;

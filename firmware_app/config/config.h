@@ -182,6 +182,9 @@ ConfigReport parse_config(std::string_view toml, const std::string& name);
 /// The same from a file; a file that cannot be read is a mistake.
 ConfigReport load_config(const std::string& file);
 
+/// "key = default  # what is allowed" for every key, in the order of config/godwit.toml.
+std::vector<std::string> describe_config();
+
 /// "key = value" for every key, as TOML, in the order of config/godwit.toml.
 std::vector<std::string> show_config(const Config& config);
 

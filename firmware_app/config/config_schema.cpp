@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "firmware_app/config/link_settings.h"
+#include "firmware_app/config/link_check.h"
 #include "hal/rt/frame_pool.h"
 
 namespace godwit::app {

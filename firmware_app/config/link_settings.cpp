@@ -1,71 +1,24 @@
 #include "firmware_app/config/link_settings.h"
 
-#include <Eigen/LU>
 #include <Eigen/SVD>
 #include <cmath>
 
 #include "firmware_app/config/version.h"
-#include "firmware_app/link/byte_port.h"
 
 namespace godwit::app {
 namespace {
 
 using Matrix4 = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
 
-constexpr double kRotationTolerance = 1e-3;  // what was written with four digits will do
-
-/// How far from a rotation.
-double rotation_error(const Eigen::Matrix3d& R) {
-  if (R.determinant() <= 0) return 1;
-  return (R * R.transpose() - Eigen::Matrix3d::Identity()).norm();
-}
-
 Eigen::Matrix3d nearest_rotation(const Eigen::Matrix3d& R) {
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
   return svd.matrixU() * svd.matrixV().transpose();
-}
-
-const char* axis_name(const Eigen::Vector3d& v) {
-  constexpr std::array<const char*, 6> kNames{"front", "right", "down", "back", "left", "up"};
-  Eigen::Index axis = 0;
-  v.cwiseAbs().maxCoeff(&axis);
-  return kNames[static_cast<std::size_t>(axis + (v(axis) < 0 ? 3 : 0))];
 }
 
 }  // namespace
 
 bool wants_link(const Config& config) {
   return !config.can.bus.empty() || !config.link.mavlink.empty();
-}
-
-void check_link(ConfigReport* report) {
-  const Config& c = report->config;
-  if (!c.can.bus.empty()) {
-    if (const auto r = hal::check_can_address(c.can.bus); !r.ok()) report->mistake("can.bus", r.error().message);
-  }
-  if (!c.link.mavlink.empty()) {
-    if (const auto r = link::check_byte_port_address(c.link.mavlink); !r.ok()) {
-      report->mistake("link.mavlink", r.error().message);
-    }
-  }
-  if (c.link.profile == Config::Link::Profile::kPx4 && !c.can.bus.empty() && c.link.mavlink.empty()) {
-    report->mistake("link.profile", "PX4 takes no MAVLink through CAN: give it link.mavlink as well");
-  }
-  if (c.can.node_id == c.can.autopilot_node) {
-    report->mistake("can.node_id", std::to_string(c.can.node_id) + " is can.autopilot_node as well");
-  }
-  if (!c.link.T_body_cam.empty()) {
-    const Eigen::Map<const Matrix4> T(c.link.T_body_cam.data());
-    const Eigen::Vector4d last = T.row(3).transpose();
-    if (rotation_error(T.topLeftCorner<3, 3>()) > kRotationTolerance || last != Eigen::Vector4d(0, 0, 0, 1)) {
-      report->mistake("link.T_body_cam",
-                      "its first three rows and columns must be a right-handed rotation, its last row 0, 0, 0, 1");
-    }
-  }
-  if (!c.link.origin.empty() && (std::abs(c.link.origin[0]) > 90 || std::abs(c.link.origin[1]) > 180)) {
-    report->mistake("link.origin",
-                    "latitude, longitude, height: -90 to 90, -180 to 180 degrees and metres are allowed");
-  }
 }
 
 link::LinkSettings link_settings(const Config& config, const std::optional<std::array<double, 16>>& T_body_cam) {
@@ -112,11 +65,6 @@ link::LinkSettings link_settings(const Config& config, const std::optional<std::
         link::mavlink::GlobalOrigin{config.link.origin[0], config.link.origin[1], config.link.origin[2]};
   }
   return s;
-}
-
-std::string mounting_words(const Eigen::Matrix3d& R_body_cam) {
-  return std::string("the camera looks ") + axis_name(R_body_cam.col(2)) + ", the top of its picture is " +
-         axis_name(-R_body_cam.col(1));
 }
 
 }  // namespace godwit::app

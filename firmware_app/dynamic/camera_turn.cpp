@@ -25,7 +25,7 @@ detector::CameraMotion CameraTurn::next(rt::TimeNs t_capture_ns) {
   const vo::Mat3 H = K * vo::so3_exp(rate_ * rt::to_seconds(step)) * K.inverse();
   for (int row = 0; row < 3; ++row)
     for (int column = 0; column < 3; ++column)
-      out.far_homography[static_cast<std::size_t>(3 * row + column)] = static_cast<float>(H(row, column));
+      out.far_homography[3 * row + column] = static_cast<float>(H(row, column));
   return out;
 }
 

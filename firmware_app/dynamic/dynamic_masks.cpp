@@ -95,7 +95,7 @@ bool DynamicMasks::detect(const DetectorJob& job) {
   // Only what may move goes on: the rest would take the place of it.
   int kept = 0;
   for (const detector::Box& box : found_.boxes.view())
-    if (network.movable(box.class_id)) found_.boxes.box[static_cast<std::size_t>(kept++)] = box;
+    if (network.movable(box.class_id)) found_.boxes.box[kept++] = box;
   found_.boxes.count = kept;
   found_.t_capture_ns = job.frame.meta.t_capture_ns;
   detections_.write(found_);

@@ -56,7 +56,7 @@ void ParkedBoxes::fill(std::span<const detector::Box> carried, Frame* frame) {
   frame->box_count = 0;
   for (const detector::Box& b : carried) {
     if (b.track < 0 || frame->box_count == kTracks) continue;
-    frame->boxes[static_cast<std::size_t>(frame->box_count++)] = {b.track, b.x0, b.y0, b.x1, b.y1};
+    frame->boxes[frame->box_count++] = {b.track, b.x0, b.y0, b.x1, b.y1};
   }
 }
 
@@ -65,7 +65,7 @@ void ParkedBoxes::correct_boxes(rt::TimeNs t_capture_ns, std::span<const detecto
 }
 
 void ParkedBoxes::note_boxes(rt::TimeNs t_capture_ns, std::span<const detector::Box> carried) {
-  Frame& frame = frames_[static_cast<std::size_t>(head_)];
+  Frame& frame = frames_[head_];
   head_ = (head_ + 1) % kFrames;
   frame.t_ns = t_capture_ns;
   frame.has_pose = false;
@@ -93,13 +93,11 @@ void ParkedBoxes::note_tracked(const TrackedFrame& frame) {
 /// By where its box was carried to; what one detection missed, by where it should be if it stands.
 ParkedBoxes::Track* ParkedBoxes::match(const Frame& frame, const detector::Box& box,
                                        const std::array<bool, kTracks>& taken) {
-  const auto free_to_take = [&](const Track* t) {
-    return t != nullptr && !taken[static_cast<std::size_t>(t - tracks_.data())];
-  };
+  const auto free_to_take = [&](const Track* t) { return t != nullptr && !taken[t - tracks_.data()]; };
   Track* best = nullptr;
   float most = limits_.overlap;
   for (int i = 0; i < frame.box_count; ++i) {
-    const TrackedBox& before = frame.boxes[static_cast<std::size_t>(i)];
+    const TrackedBox& before = frame.boxes[i];
     const float o = overlap(before, box);
     if (o < most) continue;
     Track* const t = track_of(before.track);
@@ -135,13 +133,13 @@ void ParkedBoxes::take_detection(rt::TimeNs t_capture_ns, std::span<detector::Bo
   // Old tracks first: a new one could take the place of one that comes later in the list.
   for (const bool begin : {false, true}) {
     for (detector::Box& box : boxes) {
-      const bool may = box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < may_park_.size() &&
-                       may_park_[static_cast<std::size_t>(box.class_id)];
+      const bool may =
+          box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < may_park_.size() && may_park_[box.class_id];
       // What is held keeps its track; that it was not seen is no sighting.
       if (!may || box.track >= 0 || (begin && box.missed > 0)) continue;
       Track* const track = begin ? new_track() : match(*frame, box, taken);
       if (track == nullptr) continue;
-      taken[static_cast<std::size_t>(track - tracks_.data())] = true;
+      taken[track - tracks_.data()] = true;
       box.track = track->id;
       if (box.missed > 0) continue;
       track->t_seen_ns = t_capture_ns;
@@ -181,7 +179,7 @@ double ParkedBoxes::tolerance(const Sighting& s) const {
 ParkedBoxes::Scene ParkedBoxes::scene(const Frame& frame, const detector::Box& box) {
   const auto median = [&](int n) {
     std::nth_element(distances_.begin(), distances_.begin() + n / 2, distances_.begin() + n);
-    return static_cast<double>(distances_[static_cast<std::size_t>(n / 2)]);
+    return static_cast<double>(distances_[n / 2]);
   };
   const float wide = std::max(limits_.ring_px, 0.5F * box.width()),
               high = std::max(limits_.ring_px, 0.5F * box.height());
@@ -191,17 +189,16 @@ ParkedBoxes::Scene ParkedBoxes::scene(const Frame& frame, const detector::Box& b
   };
   int n = 0;
   for (int i = 0; i < frame.point_count; ++i) {
-    const SeenPoint& p = frame.points[static_cast<std::size_t>(i)];
-    if (p.distance > 0.F && inside(p, wide, high) && !inside(p, 0.F, 0.F))
-      distances_[static_cast<std::size_t>(n++)] = p.distance;
+    const SeenPoint& p = frame.points[i];
+    if (p.distance > 0.F && inside(p, wide, high) && !inside(p, 0.F, 0.F)) distances_[n++] = p.distance;
   }
   Scene out;
   out.around = n >= limits_.points_around;
   if (!out.around) {
     n = 0;
     for (int i = 0; i < frame.point_count; ++i) {
-      const SeenPoint& p = frame.points[static_cast<std::size_t>(i)];
-      if (p.distance > 0.F) distances_[static_cast<std::size_t>(n++)] = p.distance;
+      const SeenPoint& p = frame.points[i];
+      if (p.distance > 0.F) distances_[n++] = p.distance;
     }
   }
   out.known = n >= limits_.points_around;
@@ -214,12 +211,12 @@ void ParkedBoxes::add(const Sighting& s, Track* track) const {
   if (track->placed && track->point.off(s) > 2.0 * tolerance(s)) track->forget();
   track->t_sighting_ns = s.t_ns;
   auto& kept = track->sightings;
-  if (track->count > 0 && s.t_ns - kept[static_cast<std::size_t>(track->count - 1)].t_ns < limits_.apart_ns) return;
+  if (track->count > 0 && s.t_ns - kept[track->count - 1].t_ns < limits_.apart_ns) return;
   int old = 0;
-  while (old < track->count && s.t_ns - kept[static_cast<std::size_t>(old)].t_ns > limits_.window_ns) ++old;
+  while (old < track->count && s.t_ns - kept[old].t_ns > limits_.window_ns) ++old;
   if (track->count == kSightings) old = std::max(old, 1);
   track->drop_oldest(old);
-  kept[static_cast<std::size_t>(track->count++)] = s;
+  kept[track->count++] = s;
 }
 
 void ParkedBoxes::judge(const Scene& scene, Track* track) const {

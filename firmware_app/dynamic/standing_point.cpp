@@ -42,11 +42,11 @@ double StandingPoint::off(const Sighting& s) const {
 
 double baseline_across(std::span<const Sighting> sightings) {
   const Sighting& middle = sightings[sightings.size() / 2];
-  const Vec3 from = sightings.front().T_cam_world.inverse().t;
+  const Vec3 from = sightings.front().T_cam_world.centre();
   const Vec3 ray = middle.T_cam_world.R.transpose() * middle.bearing;
   double most = 0.0;
   for (const Sighting& s : sightings) {
-    const Vec3 way = s.T_cam_world.inverse().t - from;
+    const Vec3 way = s.T_cam_world.centre() - from;
     most = std::max(most, (way - way.dot(ray) * ray).norm());
   }
   return most;

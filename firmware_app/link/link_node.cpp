@@ -149,11 +149,8 @@ void LinkNode::say(const std::optional<StatusLine>& line, rt::TimeNs now_ns) {
 }
 
 void LinkNode::send_origin(rt::TimeNs now_ns) {
-  if (parameters_.get(Parameter::kSendOrigin) != 0) {
-    parameters_.set(Parameter::kSendOrigin, 0);
-    origin_requested_.store(true, std::memory_order_relaxed);
-  }
-  if (!origin_requested_.exchange(false, std::memory_order_relaxed)) return;
+  if (parameters_.get(Parameter::kSendOrigin) == 0) return;
+  parameters_.set(Parameter::kSendOrigin, 0);
   say(StatusTexts::of_origin(endpoint_.send_origin(now_ns)), now_ns);
 }
 

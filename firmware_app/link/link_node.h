@@ -4,7 +4,6 @@
 // (bus_account).
 #pragma once
 
-#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -115,8 +114,6 @@ class LinkNode {
   void frame_begun(rt::TimeNs now_ns) { watch_.frame_begun(now_ns); }
   /// Tracker thread: it was the picture before once more, and the odometry's state stands. The autopilot hears nothing.
   void picture_repeated(rt::TimeNs now_ns) { watch_.picture_repeated(now_ns); }
-  /// Any thread: send SET_GPS_GLOBAL_ORIGIN at the next step.
-  void request_origin() { origin_requested_.store(true, std::memory_order_relaxed); }
   /// RestartNode was asked for, granted and answered: end the process so that systemd starts it anew.
   bool restart_due() const { return restart_due_; }
   const LinkStatus& status() const { return status_; }
@@ -162,7 +159,6 @@ class LinkNode {
   StatusTexts texts_;
   TelemetrySender telemetry_;
   BusAccount account_;
-  std::atomic<bool> origin_requested_{false};  // partner: step(); a flag alone, so relaxed order will do
 
   PoseSample sample_;  // the newest one taken
   SystemHealth health_;

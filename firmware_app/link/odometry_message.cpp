@@ -133,7 +133,7 @@ mavlink::Odometry odometry_message(const BodyPose& pose, const OdometryConfig& c
   m.x = to_float(pose.position.x());
   m.y = to_float(pose.position.y());
   m.z = to_float(pose.position.z());
-  for (int i = 0; i < 4; ++i) m.q[static_cast<std::size_t>(i)] = to_float(pose.q(i));
+  for (int i = 0; i < 4; ++i) m.q[i] = to_float(pose.q(i));
   m.vx = to_float(pose.velocity.x());
   m.vy = to_float(pose.velocity.y());
   m.vz = to_float(pose.velocity.z());

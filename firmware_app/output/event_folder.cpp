@@ -64,7 +64,7 @@ rt::Result<void> put(const std::string& file, std::span<const std::uint8_t> byte
   bool well = true;
   while (well && !bytes.empty()) {
     const ssize_t n = ::write(fd, bytes.data(), bytes.size());
-    if (n > 0) bytes = bytes.subspan(static_cast<std::size_t>(n));
+    if (n > 0) bytes = bytes.subspan(n);
     well = n > 0 || (n < 0 && errno == EINTR);
   }
   well = well && ::fdatasync(fd) == 0;

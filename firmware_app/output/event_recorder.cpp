@@ -80,7 +80,7 @@ struct EventRecorder::State {
   bool open = false, ending = false, abandoned = false, writer_ended = false;
   EventReport report;
 
-  Job& job(std::uint64_t count) { return jobs[static_cast<std::size_t>(count % jobs.size())]; }
+  Job& job(std::uint64_t count) { return jobs[count % jobs.size()]; }
   bool idle() const { return done == closed && !open; }
 
   void copy();

@@ -55,7 +55,7 @@ std::uint64_t EventRing::at(rt::TimeNs t_capture_ns, std::uint64_t first) const 
 
 void EventRing::add(const hal::ImuSample& sample) {
   if (samples_.empty()) return;
-  samples_[static_cast<std::size_t>(samples_seen_ % samples_.size())] = sample;
+  samples_[samples_seen_ % samples_.size()] = sample;
   ++samples_seen_;
 }
 
@@ -63,7 +63,7 @@ void EventRing::copy_samples(rt::TimeNs from_ns, rt::TimeNs to_ns, std::vector<h
   out->clear();
   const std::uint64_t held = std::min<std::uint64_t>(samples_seen_, samples_.size());
   for (std::uint64_t i = samples_seen_ - held; i < samples_seen_; ++i) {
-    const hal::ImuSample& s = samples_[static_cast<std::size_t>(i % samples_.size())];
+    const hal::ImuSample& s = samples_[i % samples_.size()];
     if (s.t_ns >= from_ns && s.t_ns <= to_ns) out->push_back(s);
   }
 }

@@ -29,7 +29,7 @@ void add_runs(const vo::CoarseMask& mask, std::string* out) {
     comma = ",";
   };
   for (int i = 0; i < mask.columns * mask.rows; ++i) {
-    if ((mask.cell[static_cast<std::size_t>(i)] != 0) != masked) {
+    if ((mask.cell[i] != 0) != masked) {
       put();
       masked = !masked;
       length = 0;

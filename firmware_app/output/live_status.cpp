@@ -39,7 +39,7 @@ double place_sigma(const FrameRecord& r) {
 
 void LiveStatus::frame(const FrameRecord& r) noexcept {
   const std::lock_guard<std::mutex> lock(mutex_);
-  Frame& f = frames_[static_cast<std::size_t>(seen_++ % kFrames)];
+  Frame& f = frames_[seen_++ % kFrames];
   f = {};
   f.t_ns = rt::monotonic_now_ns();
   f.processed = r.fate == FrameFate::kProcessed;
@@ -81,7 +81,7 @@ std::string LiveStatus::snapshot(rt::TimeNs now_ns) {
   const std::lock_guard<std::mutex> lock(mutex_);
   std::uint64_t due = 0, poses = 0;
   for (std::uint64_t i = 0; i < std::min<std::uint64_t>(seen_, kFrames); ++i) {
-    const Frame& f = frames_[static_cast<std::size_t>((seen_ - 1 - i) % kFrames)];
+    const Frame& f = frames_[(seen_ - 1 - i) % kFrames];
     if (now_ns - f.t_ns > kWindowNs) break;
     ++due;
     if (f.tracked) ++poses;

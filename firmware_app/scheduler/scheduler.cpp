@@ -94,7 +94,7 @@ std::optional<RungChange> Scheduler::frame_done(rt::TimeNs now_ns, rt::TimeNs tr
   const bool late = late_ns > options_.deadline_ns;
   counters_.slips += late ? 1 : 0;
   counters_.dropped += static_cast<std::uint64_t>(dropped);
-  if (late || dropped > 0) slips_[static_cast<std::size_t>(slip_count_++ % kSlipsToGoBlind)] = now_ns;
+  if (late || dropped > 0) slips_[slip_count_++ % kSlipsToGoBlind] = now_ns;
   if (ordered_ && !stuck_ && now_ns - t_ordered_ns_ > options_.detector_stuck_ns) {
     stuck_ = true;
     ++counters_.detector_stuck;

@@ -18,8 +18,8 @@ hal::CameraCalibration calibration_of(const sim::Flight& flight) {
   c.readout_frames = plan.rig.readout_s * plan.fps;
   std::array<double, 16> T{};
   for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) T[static_cast<std::size_t>(4 * i + j)] = plan.rig.R_body_cam(i, j);
-    T[static_cast<std::size_t>(4 * i + 3)] = plan.rig.t_body_cam_m[i];
+    for (int j = 0; j < 3; ++j) T[4 * i + j] = plan.rig.R_body_cam(i, j);
+    T[4 * i + 3] = plan.rig.t_body_cam_m[i];
   }
   T[15] = 1;
   c.T_body_cam = T;

@@ -49,8 +49,7 @@ hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::ui
     if (options_.once != nullptr) options_.once->pin(times_.front(), start_ns_);
   }
   const rt::TimeNs due =
-      start_ns_ + (options_.once != nullptr ? times_[static_cast<std::size_t>(next_)] - times_.front()
-                                            : next_ * options_.interval_ns);
+      start_ns_ + (options_.once != nullptr ? times_[next_] - times_.front() : next_ * options_.interval_ns);
   if (options_.real_pace) {
     const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
     const rt::TimeNs delivery = due + options_.delivery_ns;

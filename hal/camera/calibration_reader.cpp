@@ -73,8 +73,7 @@ bool is_rigid(const std::array<double, 16>& T) {
   for (int a = 0; a < 3; ++a) {
     for (int b = 0; b < 3; ++b) {
       double dot = 0;
-      for (int k = 0; k < 3; ++k)
-        dot += T[static_cast<std::size_t>(4 * a + k)] * T[static_cast<std::size_t>(4 * b + k)];
+      for (int k = 0; k < 3; ++k) dot += T[4 * a + k] * T[4 * b + k];
       if (std::abs(dot - (a == b ? 1.0 : 0.0)) > 1e-3) return false;
     }
   }

@@ -14,7 +14,7 @@ struct AxisMap {
 
   std::array<double, 3> apply(const std::array<double, 3>& v) const {
     std::array<double, 3> out{};
-    for (std::size_t i = 0; i < 3; ++i) out[i] = sign[i] * v[static_cast<std::size_t>(from[i])];
+    for (std::size_t i = 0; i < 3; ++i) out[i] = sign[i] * v[from[i]];
     return out;
   }
 };

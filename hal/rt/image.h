@@ -44,8 +44,11 @@ struct PyramidView {
   int levels = 0;
 };
 
-/// A mask of dynamic pixels at every pyramid level (the paper, 2.3.1): non-zero = may move, do not use.
-/// Same sizes as the pyramid's levels; levels == 0 means that nothing is masked.
-using MaskPyramidView = PyramidView;
+/// A mask of dynamic pixels at every pyramid level (the paper, 2.3.1): non-zero = may move, do not use. Same sizes as
+/// the pyramid's levels; levels == 0 means that nothing is masked. A type of its own: a mask is no picture to align.
+struct MaskPyramidView {
+  std::array<ImageView, kPyramidLevels> level;
+  int levels = 0;
+};
 
 }  // namespace godwit::rt

@@ -17,8 +17,5 @@ TimeNs monotonic_now_ns() {
 TimeNs thread_cpu_now_ns() {
   return read_clock(CLOCK_THREAD_CPUTIME_ID);
 }
-TimeNs process_cpu_now_ns() {
-  return read_clock(CLOCK_PROCESS_CPUTIME_ID);
-}
 
 }  // namespace godwit::rt

@@ -24,7 +24,4 @@ TimeNs monotonic_now_ns();
 /// Processor time used so far by the calling thread. No allocation, no lock.
 TimeNs thread_cpu_now_ns();
 
-/// Processor time used so far by all threads of this process. No allocation, no lock.
-TimeNs process_cpu_now_ns();
-
 }  // namespace godwit::rt

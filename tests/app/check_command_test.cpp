@@ -36,6 +36,16 @@ TEST(GodwitCheck, TellsEverythingAtOnceInTheOrderOfTheFile) {
   }
 }
 
+TEST(GodwitCheck, ListsEveryKeyWithItsDefaultAndWhatIsAllowed) {
+  const auto [code, said] = test::run_command(GODWIT_TOOL " check --keys");
+  EXPECT_EQ(code, 0);
+  EXPECT_THAT(said, HasSubstr("\ncan.node_id = 42  # a whole number from 0 to 125\n"));
+  EXPECT_THAT(said, HasSubstr("\nlink.profile = \"ardupilot\"  # \"ardupilot\" or \"px4\"\n"));
+  const auto [without, words] = test::run_command(GODWIT_TOOL " check");
+  EXPECT_EQ(without, 2);
+  EXPECT_THAT(words, HasSubstr("--config"));
+}
+
 TEST(GodwitCheck, ASimulatedCameraIsRefusedOnARealBus) {
   const test::TempFolder folder;
   const auto code = [&](const std::string& link) {

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "firmware_app/link/axis_words.h"
+
 namespace godwit::app::link_settings_test {
 namespace {
 
@@ -98,9 +100,10 @@ TEST(LinkSettings, TheConfigurationsMountingWinsOverTheCalibrations) {
 }
 
 TEST(LinkSettings, TheMountingIsToldInWords) {
-  EXPECT_EQ(mounting_words(link::OdometryConfig{}.R_body_cam), "the camera looks front, the top of its picture is up");
+  EXPECT_EQ(link::mounting_words(link::OdometryConfig{}.R_body_cam),
+            "the camera looks front, the top of its picture is up");
   const Eigen::Matrix3d down{{0, -1, 0}, {1, 0, 0}, {0, 0, 1}};
-  EXPECT_EQ(mounting_words(down), "the camera looks down, the top of its picture is front");
+  EXPECT_EQ(link::mounting_words(down), "the camera looks down, the top of its picture is front");
 }
 
 }  // namespace

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <random>
 
+#include "tests/vo_core/numeric_jacobian.h"
+
 namespace godwit::link {
 namespace odometry_message_test {
 
@@ -103,20 +105,17 @@ TEST(BodyPose, CovarianceFollowsTheNumericJacobian) {
     const PoseSample s = random_sample(random);
     const BodyPose base = body_pose(s, config);
     const Eigen::Matrix3d R0 = rotation_of(base.q);
-    Mat6 J;
-    constexpr double kStep = 1e-6;
-    for (int k = 0; k < 6; ++k) {
+    const Eigen::Matrix3d R = rotation_of({s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3]});
+    const Mat6 J = vo::test::numeric_jacobian<6>([&](const Vec6& x) {
       PoseSample moved = s;
-      if (k < 3) {
-        moved.position[static_cast<std::size_t>(k)] += kStep;
-      } else {
-        const Eigen::Matrix3d R = rotation_of({s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3]});
-        set_rotation(&moved, exp_so3(kStep * Eigen::Vector3d::Unit(k - 3)) * R);
-      }
+      for (int k = 0; k < 3; ++k) moved.position[k] += x(k);
+      set_rotation(&moved, exp_so3(x.tail<3>()) * R);
       const BodyPose out = body_pose(moved, config);
       const Eigen::AngleAxisd turn(rotation_of(out.q) * R0.transpose());
-      J.col(k) << (out.position - base.position) / kStep, turn.angle() * turn.axis() / kStep;
-    }
+      Vec6 by;
+      by << out.position - base.position, turn.angle() * turn.axis();
+      return by;
+    });
     const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s.covariance.data());
     const Mat6 expected = J * C * J.transpose();
     EXPECT_LT((base.covariance - expected).norm(), 1e-4 * expected.norm());

@@ -18,7 +18,7 @@ if len(sys.argv) < 2:
 BUILD = ['--build', sys.argv[1]]
 NONE = '-' + '-wings'  # not written out, because the tests are searched for options, too
 sys.path.insert(0, str(ROOT / 'scripts'))
-from documents import links, named_tests, reasons  # noqa: E402
+from documents import configuration, links, named_tests, reasons  # noqa: E402
 
 
 def run(*words):
@@ -107,6 +107,26 @@ class CheckDocs(unittest.TestCase):
         self.assertEqual([run.is_run(t) for t in ('LostIsToldWithTheFrame', 'chaos_test.py', 'DoctorFinds', 'LostIsTold', 'gone_test.py')],
                          [True, True, True, False, False])
         self.assertEqual(self.findings('no table\n', 'hazards.md'), ['1: no table of hazards (it begins with "| # | failure |")'])
+
+    def test_figures_have_a_command(self):
+        table = '| what | error |\n|---|---|\n| a | 0.0123 m |\n'
+        self.assertEqual(self.findings(f'# Page\n## One\n{table}\n## Two\n\n    scripts/test\n\n{table}'),
+                         ['2: "One" shows figures and no command that makes them'])
+        self.assertEqual(self.findings(f'# Page\n`scripts/test` makes all of it.\n## One\n{table}'), [])
+        self.assertEqual(self.findings('# Page\n| what | version |\n|---|---|\n| a | 4.6.3 |\n'), [])
+
+    def test_the_configuration_is_the_programs(self):
+        page = configuration.page(ROOT, f'{BUILD[1]}/firmware_app/godwit')
+        self.assertIn('\n| `can.node_id` | `42` | a whole number from 0 to 125 |\n', page)
+        self.assertIn('\n## [camera]\n', page)
+        with tempfile.TemporaryDirectory() as other:
+            other = pathlib.Path(other)
+            (other / 'config').mkdir()
+            file = (ROOT / 'config/godwit.toml').read_text()
+            for text, why in ((file.replace('node_id = 42', ''), 'lacks can.node_id'), (file + 'wings = 2\n', 'live.wings')):
+                (other / 'config/godwit.toml').write_text(text)
+                with self.assertRaisesRegex(ValueError, why):
+                    configuration.page(other, f'{BUILD[1]}/firmware_app/godwit')
 
     def test_each_reason_is_explained(self):
         known = reasons.reasons(ROOT)

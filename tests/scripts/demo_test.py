@@ -2,6 +2,7 @@
 report whose path is the last thing it prints."""
 import os
 import pathlib
+import re
 import subprocess
 import sys
 import unittest
@@ -77,16 +78,18 @@ class Demo(stand_in.StandInTest):
         self.assertIn('No ground truth lies beside the sequence', done.stdout)
         self.assertEqual(self.flown.read_text(), f'replay {self.folder}/mine --out out/demo --frames 450 --pace real\n')
 
-    def test_a_sequence_of_kitti(self):
-        pictures = self.folder / 'mine/image_0'
-        pictures.mkdir(parents=True)
-        # The head of a PNG is all that is looked at here.
-        (pictures / '000000.png').write_bytes(b'\x89PNG\r\n\x1a\n\0\0\0\rIHDR' + bytes([0, 0, 4, 217, 0, 0, 1, 120, 8, 0]))
-        (self.folder / 'mine/times.txt').write_text('0.0e+00\n')
-        (self.folder / 'mine/calib.txt').write_text('P0: 718 0 607 0 0 718 185 0 0 0 1 0\n')
-        self.ends_with_a_report(self.run_it('--fast', 'mine'))
-        self.assertTrue(self.flown.read_text().startswith(f'replay {self.root}/out/demo_kitti --out out/demo '))
-        self.assertIn('width: 1241\nheight: 376\n', (self.root / 'out/demo_kitti/camera.yaml').read_text())
+    def test_what_replay_makes_a_sequence_of(self):
+        (self.folder / 'mine/image_0').mkdir(parents=True)
+        (self.folder / 'film.mp4').write_text('moving')
+        for words in (('mine',), ('film.mp4', '--fov', '70')):
+            self.flown.unlink(missing_ok=True)
+            self.ends_with_a_report(self.run_it('--fast', *words))
+            self.assertTrue(self.flown.read_text().startswith(f'replay {self.folder}/{words[0]} --out out/demo '))
+
+    def test_few_packages_are_asked_for(self):
+        packages = re.search(r'PACKAGES="\n(.*?)"', (ROOT / 'scripts/setup').read_text(), re.DOTALL).group(1).split()
+        self.assertLessEqual(len(packages), 40)
+        self.assertNotIn('clang-14', packages)
 
     def test_what_an_earlier_one_left_is_not_shown(self):
         old = self.root / 'out/demo/view'

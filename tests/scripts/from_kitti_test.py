@@ -110,6 +110,17 @@ class FromKitti(unittest.TestCase):
         # Wrong axes or a wrong turn would be degrees.
         self.assertLess(told['rpe_1s_deg'], 0.5)
 
+    def test_replay_takes_it_as_it_is(self):
+        self.little()
+        done = run(GODWIT, 'replay', self.sequence, '--sequential', '--out', self.folder / 'run')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        told = json.loads((self.folder / 'run/summary.json').read_text())
+        self.assertEqual((told['frames'], told['sequence']), (3, str(self.folder / 'run/sequence')))
+        (self.sequence / 'calib.txt').unlink()
+        done = run(GODWIT, 'replay', self.sequence, '--sequential', '--out', self.folder / 'run')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('calib.txt', done.stderr)
+
     def test_what_is_written(self):
         self.little(poses_txt='1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 -2 0 0 1 3\n0 0 1 0 0 1 0 0 -1 0 0 5\n')
         done = convert(self.sequence, self.out, '--camera', 2)

@@ -90,6 +90,35 @@ class FromVideo(unittest.TestCase):
         self.assertLess(told['ate_m'], 0.05)
         self.assertGreater(told['path_m'], 2)
 
+    def test_replay_takes_a_film_as_it_is(self):
+        self.little()
+        flown = self.folder / 'run'
+        done = run(GODWIT, 'replay', self.video, '--camera', self.camera, '--sequential', '--out', flown)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        told = json.loads((flown / 'summary.json').read_text())
+        self.assertEqual((told['frames'], told['sequence']), (30, str(flown / 'sequence')))
+        # Again, with another camera: the earlier sequence makes way.
+        done = run(GODWIT, 'replay', self.video, '--fov', 70, '--frames', 3, '--out', flown)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('Guessed', (flown / 'sequence/camera.yaml').read_text())
+        for words, word in (((), 'add --camera'), (('--camera', self.folder / 'gone.yaml'), 'gone.yaml'), (('--fov', 9), '--fov'),
+                            (('--fov', 70, '--camera', self.camera), 'one of them')):
+            done = run(GODWIT, 'replay', self.video, '--out', self.folder / 'other', *words)
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertIn(word, done.stderr)
+        done = run(GODWIT, 'replay', self.camera, '--fov', 70, '--out', self.folder / 'other')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('no video', done.stderr)
+        done = run(GODWIT, 'replay', flown / 'sequence', '--fov', 70, '--out', self.folder / 'other')
+        self.assertEqual(done.returncode, 2)
+        # What is not a sequence of ours is not taken away.
+        (self.folder / 'mine/sequence').mkdir(parents=True)
+        (self.folder / 'mine/sequence/thesis.txt').write_text('years of work')
+        done = run(GODWIT, 'replay', self.video, '--fov', 70, '--out', self.folder / 'mine')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('in the way', done.stderr)
+        self.assertTrue((self.folder / 'mine/sequence/thesis.txt').exists())
+
     def test_times_and_pictures(self):
         self.little()
         done = convert(self.video, self.out, '--camera', self.camera)

@@ -14,7 +14,7 @@ import time
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-SCRIPTS = ("scripts/setup", "scripts/check_includes", "scripts/check_format", "scripts/check_docs", "scripts/check_tidy",
+SCRIPTS = ("scripts/setup", "scripts/check_includes", "scripts/check_format", "scripts/check_docs", "scripts/check_tidy", "scripts/document",
            "scripts/fuzz", "tests/vm/run")
 # Each program writes down how it was called, then does what stands in the file of that name, if there is one.
 STUB = """#!/bin/bash
@@ -68,7 +68,7 @@ class TestLanes(unittest.TestCase):
         self.assertEqual(status, 0, printed)
         calls = self.calls()
         for name in ("build_release", "tests_release", "run", "build_aarch64", "tests_aarch64", "build_asan", "tests_asan",
-                     "build_tsan", "tests_tsan", "fuzz", "check_includes", "check_format", "check_docs", "check_tidy"):
+                     "build_tsan", "tests_tsan", "fuzz", "check_includes", "check_format", "check_docs", "check_tidy", "document"):
             self.assertIn(name, calls)
             self.assertIn(f"what {name} prints", printed)
         self.assertEqual(printed.count("100% tests passed"), 8, "printed once when it ended, and once at the end")

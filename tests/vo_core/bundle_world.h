@@ -75,7 +75,7 @@ struct BundleWorld {
       const SE3& a = map.keyframe(k).T_kf_world;
       worst = std::max(worst, so3_log(a.R * poses[static_cast<std::size_t>(k)].R.transpose()).norm());
       const Vec3 c = map.keyframe(k).position().normalized();
-      const Vec3 truth = (poses[static_cast<std::size_t>(k)].inverse().t).normalized();
+      const Vec3 truth = poses[static_cast<std::size_t>(k)].centre().normalized();
       worst = std::max(worst, std::acos(std::min(1.0, c.dot(truth))));
     }
     return worst;

@@ -33,14 +33,14 @@ TEST(Odometry, FollowsARenderedFlight) {
   // World: the first view's camera, in an unknown scale: least squares over the path.
   double num = 0, den = 0;
   for (std::size_t i = first; i < run.frames.size(); ++i) {
-    const Vec3 t = truth[0] * truth[i].inverse().t;
+    const Vec3 t = truth[0] * truth[i].centre();
     num += t.dot(run.frames[i].T_world_cam.t);
     den += run.frames[i].T_world_cam.t.squaredNorm();
   }
   const double scale = num / den;
   double worst = 0, worst_angle = 0;
   for (std::size_t i = first; i < run.frames.size(); ++i) {
-    const Vec3 t = truth[0] * truth[i].inverse().t;
+    const Vec3 t = truth[0] * truth[i].centre();
     worst = std::max(worst, (scale * run.frames[i].T_world_cam.t - t).norm());
     const Mat3 dR = run.frames[i].T_world_cam.R.transpose() * truth[0].R * truth[i].R.transpose();
     worst_angle = std::max(worst_angle, so3_log(dR).norm());

@@ -22,9 +22,9 @@ struct PointNormalisation {
   bool fit(std::span<const Vec2> points, std::span<const int> index) {
     const double n = static_cast<double>(index.size());
     centre.setZero();
-    for (int i : index) centre += points[static_cast<std::size_t>(i)] / n;
+    for (int i : index) centre += points[i] / n;
     double mean = 0;
-    for (int i : index) mean += (points[static_cast<std::size_t>(i)] - centre).norm() / n;
+    for (int i : index) mean += (points[i] - centre).norm() / n;
     if (!(mean > 1e-9)) return false;
     scale = std::sqrt(2.0) / mean;
     return true;
@@ -58,13 +58,13 @@ inline bool null_vector(Eigen::Matrix<double, 8, 9>* A, Eigen::Matrix<double, 9,
     if (pr != k) a.row(k).swap(a.row(pr));
     if (pc != k) {
       a.col(k).swap(a.col(pc));
-      std::swap(column[static_cast<std::size_t>(k)], column[static_cast<std::size_t>(pc)]);
+      std::swap(column[k], column[pc]);
     }
     a.row(k) /= a(k, k);
     for (int r = 0; r < 8; ++r)
       if (r != k) a.row(r) -= a(r, k) * a.row(k);
   }
-  for (int k = 0; k < 8; ++k) (*x)(column[static_cast<std::size_t>(k)]) = -a(k, 8);
+  for (int k = 0; k < 8; ++k) (*x)(column[k]) = -a(k, 8);
   (*x)(column[8]) = 1.0;
   x->normalize();
   return true;

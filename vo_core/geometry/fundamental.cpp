@@ -11,7 +11,7 @@ bool fundamental_from_points(std::span<const Vec2> a, std::span<const Vec2> b, s
   PointNormalisation na, nb;
   if (index.size() < 8 || !na.fit(a, index) || !nb.fit(b, index)) return false;
   const auto row = [&](int i) {
-    const Vec2 p = na * a[static_cast<std::size_t>(i)], q = nb * b[static_cast<std::size_t>(i)];
+    const Vec2 p = na * a[i], q = nb * b[i];
     Row9 r;
     r << q.x() * p.x(), q.x() * p.y(), q.x(), q.y() * p.x(), q.y() * p.y(), q.y(), p.x(), p.y(), 1;
     return r;
@@ -19,7 +19,7 @@ bool fundamental_from_points(std::span<const Vec2> a, std::span<const Vec2> b, s
   Eigen::Matrix<double, 9, 1> f;
   if (index.size() == 8) {
     Eigen::Matrix<double, 8, 9> A;
-    for (int k = 0; k < 8; ++k) A.row(k) = row(index[static_cast<std::size_t>(k)]);
+    for (int k = 0; k < 8; ++k) A.row(k) = row(index[k]);
     if (!null_vector(&A, &f)) return false;
   } else {
     Eigen::Matrix<double, 9, 9> AtA = Eigen::Matrix<double, 9, 9>::Zero();

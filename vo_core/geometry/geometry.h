@@ -53,7 +53,9 @@ struct SE3 {
 
   Vec3 operator*(const Vec3& p) const { return R * p + t; }
   SE3 operator*(const SE3& o) const { return {R * o.R, R * o.t + t}; }
-  SE3 inverse() const { return {R.transpose(), -(R.transpose() * t)}; }
+  SE3 inverse() const { return {R.transpose(), centre()}; }
+  /// Of T_cam_world: where the camera is in the world. The translation of the inverse.
+  Vec3 centre() const { return -(R.transpose() * t); }
   Eigen::Quaterniond quaternion() const { return Eigen::Quaterniond(R).normalized(); }
 
   /// Twist x = (v [translation], w [rad]) -> motion: R = exp(w), t = V(w) v.

@@ -12,7 +12,7 @@ bool homography_from_points(std::span<const Vec2> a, std::span<const Vec2> b, st
   PointNormalisation na, nb;
   if (index.size() < 4 || !na.fit(a, index) || !nb.fit(b, index)) return false;
   const auto rows = [&](int i, Row9* first, Row9* second) {
-    const Vec2 p = na * a[static_cast<std::size_t>(i)], q = nb * b[static_cast<std::size_t>(i)];
+    const Vec2 p = na * a[i], q = nb * b[i];
     *first << -p.x(), -p.y(), -1, 0, 0, 0, q.x() * p.x(), q.x() * p.y(), q.x();
     *second << 0, 0, 0, -p.x(), -p.y(), -1, q.y() * p.x(), q.y() * p.y(), q.y();
   };
@@ -21,7 +21,7 @@ bool homography_from_points(std::span<const Vec2> a, std::span<const Vec2> b, st
   if (index.size() == 4) {
     Eigen::Matrix<double, 8, 9> A;
     for (int k = 0; k < 4; ++k) {
-      rows(index[static_cast<std::size_t>(k)], &first, &second);
+      rows(index[k], &first, &second);
       A.row(2 * k) = first;
       A.row(2 * k + 1) = second;
     }
@@ -68,7 +68,7 @@ int decompose_homography(const Mat3& H, double min_translation, std::array<Plane
     const Vec3 t = (Hn - R) * normal;
     R = Eigen::Quaterniond(R).normalized().toRotationMatrix();
     for (double side : {1.0, -1.0}) {
-      (*motions)[static_cast<std::size_t>(count)] = {SE3(R, side * t), side * normal};
+      (*motions)[count] = {SE3(R, side * t), side * normal};
       ++count;
     }
   }
@@ -81,7 +81,7 @@ bool other_motion_of_plane(const SE3& T_b_a, const Vec3& plane, SE3* other) {
   const int count = decompose_homography(T_b_a.R + T_b_a.t * plane.transpose(), 1e-4, &motions);
   double farthest = -1.0;
   for (int k = 0; k < count; ++k) {
-    const PlaneMotion& motion = motions[static_cast<std::size_t>(k)];
+    const PlaneMotion& motion = motions[k];
     if (!(motion.normal.z() * plane.z() > 0)) continue;
     const double apart = (motion.T_b_a.R - T_b_a.R).norm();
     if (apart < farthest) continue;

@@ -123,14 +123,14 @@ struct TwoViewGeometry::Impl {
 
   double total() const {
     double s = 0;
-    for (int i = 0; i < n; ++i) s += static_cast<double>(gain[static_cast<std::size_t>(i)]);
+    for (int i = 0; i < n; ++i) s += static_cast<double>(gain[i]);
     return s;
   }
 
   std::span<const int> collect(std::array<int, kMaxPoints>* out) const {
     std::size_t count = 0;
     for (int i = 0; i < n; ++i)
-      if (gain[static_cast<std::size_t>(i)] > 0.0f) (*out)[count++] = i;
+      if (gain[i] > 0.0f) (*out)[count++] = i;
     return {out->data(), count};
   }
 
@@ -139,7 +139,7 @@ struct TwoViewGeometry::Impl {
               std::span<const Vec2> b, double focal_px, TwoViewResult* result) const {
     for (TwoViewCandidate& c : motions) {
       for (int i : inliers) {
-        const Vec2 p = a[static_cast<std::size_t>(i)] / focal_px, q = b[static_cast<std::size_t>(i)] / focal_px;
+        const Vec2 p = a[i] / focal_px, q = b[i] / focal_px;
         double inverse_depth = 0;
         if (!triangulate_inverse_depth(c.T_b_a, p, q, &inverse_depth) || inverse_depth <= 0) continue;
         const Vec3 in_b = c.T_b_a.R * Vec3(p.x(), p.y(), 1.0) + inverse_depth * c.T_b_a.t;
@@ -151,7 +151,7 @@ struct TwoViewGeometry::Impl {
       for (std::size_t j = i; j > 0 && motions[j].in_front > motions[j - 1].in_front; --j)
         std::swap(motions[j], motions[j - 1]);
     for (std::size_t i = 0; i < std::min<std::size_t>(2, motions.size()); ++i) {
-      if (motions[i].in_front > 0) result->candidates[static_cast<std::size_t>(result->candidate_count++)] = motions[i];
+      if (motions[i].in_front > 0) result->candidates[result->candidate_count++] = motions[i];
     }
   }
 };
@@ -180,7 +180,7 @@ TwoViewResult TwoViewGeometry::estimate(std::span<const Vec2> a, std::span<const
   for (int iteration = 0; iteration < m.options.iterations; ++iteration) {
     for (int k = 0; k < 8; ++k) {  // the first eight places of a partial Fisher-Yates shuffle
       const auto other = static_cast<std::size_t>(k) + random.below(static_cast<std::uint32_t>(m.n - k));
-      std::swap(m.index[static_cast<std::size_t>(k)], m.index[other]);
+      std::swap(m.index[k], m.index[other]);
     }
     Mat3 model;
     if (homography_from_points(a, b, {m.index.data(), 4}, &model)) {
@@ -219,13 +219,13 @@ TwoViewResult TwoViewGeometry::estimate(std::span<const Vec2> a, std::span<const
     H.bottomLeftCorner<1, 2>() *= focal_px;
     double side = 0;
     for (int i : inliers_h) {
-      const Vec2 p = a[static_cast<std::size_t>(i)] / focal_px, q = b[static_cast<std::size_t>(i)] / focal_px;
+      const Vec2 p = a[i] / focal_px, q = b[i] / focal_px;
       side += Vec3(q.x(), q.y(), 1.0).dot(H * Vec3(p.x(), p.y(), 1.0)) > 0 ? 1.0 : -1.0;
     }
     std::array<PlaneMotion, 4> motions;
     const int count = decompose_homography(side < 0 ? Mat3(-H) : H, kMinTranslation, &motions);
     for (int k = 0; k < count; ++k) {
-      const PlaneMotion& motion = motions[static_cast<std::size_t>(k)];
+      const PlaneMotion& motion = motions[k];
       from_h[count_h++] = {SE3(motion.T_b_a.R, motion.T_b_a.t.normalized()), InitModel::kHomography, 0};
     }
   }

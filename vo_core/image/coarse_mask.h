@@ -52,8 +52,7 @@ struct CoarseMask {
       return;
     }
     if (other.empty()) return;
-    for (int i = 0; i < columns * rows; ++i)
-      cell[static_cast<std::size_t>(i)] |= other.cell[static_cast<std::size_t>(i)];
+    for (int i = 0; i < columns * rows; ++i) cell[i] |= other.cell[i];
   }
   void add(const rt::MaskPyramidView& mask) {
     CoarseMask other;
@@ -79,7 +78,7 @@ struct CoarseMask {
   bool masked(const Vec2f& px) const {
     if (empty()) return false;
     const int x = static_cast<int>(px.x()) >> kLevel, y = static_cast<int>(px.y()) >> kLevel;
-    return x < columns && y < rows && cell[static_cast<std::size_t>(y * columns + x)] != 0;
+    return x < columns && y < rows && cell[y * columns + x] != 0;
   }
 };
 

@@ -32,7 +32,7 @@ float grey_noise(const rt::ImageView& image) {
         }
       }
       if (grey < kClipped * kBlock * kBlock || grey > (255 - kClipped) * kBlock * kBlock) continue;
-      response[static_cast<std::size_t>(blocks++)] = static_cast<float>(sum) / (kBlock * kBlock);
+      response[blocks++] = static_cast<float>(sum) / (kBlock * kBlock);
       if (blocks == kMaxBlocks) break;
     }
     if (blocks == kMaxBlocks) break;

@@ -84,8 +84,8 @@ rt::PyramidView build_pyramid(const rt::ImageView& base, int levels, std::uint8_
   for (int l = 1; l < levels; ++l) {
     const rt::MutableImageView level{storage, base.width >> l, base.height >> l,
                                      static_cast<int>(aligned_stride(base.width >> l))};
-    half_sample(pyramid.level[static_cast<std::size_t>(l - 1)], level);
-    pyramid.level[static_cast<std::size_t>(l)] = level;
+    half_sample(pyramid.level[l - 1], level);
+    pyramid.level[l] = level;
     storage += static_cast<std::ptrdiff_t>(level.stride) * level.height;
   }
   return pyramid;

@@ -72,7 +72,7 @@ Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidVi
 }
 
 bool shows_nothing(const rt::PyramidView& pyramid) {
-  const rt::ImageView& image = pyramid.level[static_cast<std::size_t>(std::min(2, pyramid.levels - 1))];
+  const rt::ImageView& image = pyramid.level[std::min(2, pyramid.levels - 1)];
   std::int64_t sum = 0, squares = 0;
   for (int y = 0; y < image.height; ++y) {
     const std::uint8_t* row = image.row(y);

@@ -199,7 +199,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const int n = smoother_.size();
   if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
   std::array<InertialNode, InertialSmoother::kNodes> nodes;
-  for (int i = 0; i < n; ++i) nodes[static_cast<std::size_t>(i)] = smoother_.node(i);
+  for (int i = 0; i < n; ++i) nodes[i] = smoother_.node(i);
   const std::span<const InertialNode> window(nodes.data(), static_cast<std::size_t>(n));
   ImuBias bias = prior_.bias;
   bias.gyro = align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
@@ -220,7 +220,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   first.velocity = found.velocity;
   first.mounting = prior_.mounting;
   first.time_offset_s = prior_.time_offset_s;
-  for (int i = 1; i < n; ++i) smoother_.add(window[static_cast<std::size_t>(i)]);
+  for (int i = 1; i < n; ++i) smoother_.add(window[i]);
   smoother_.set_prior(prior_);
   smoother_.hint_scale(others.log_scale, others.sigma);
   if (!convincing(smoother_.solve(6))) return;

@@ -157,9 +157,9 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
   Report report;
   if (count_ < 2) return report;
   Work& w = *work_;
-  for (int i = 0; i < count_; ++i) w.before[static_cast<std::size_t>(i)] = state(i);
+  for (int i = 0; i < count_; ++i) w.before[i] = state(i);
   const auto give_up = [&] {
-    for (int i = 0; i < count_; ++i) state(i) = w.before[static_cast<std::size_t>(i)];
+    for (int i = 0; i < count_; ++i) state(i) = w.before[i];
     report.ok = false;
     return report;
   };
@@ -203,9 +203,9 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
       const std::size_t k = static_cast<std::size_t>(i);
       w.dx[k].noalias() -= w.H_next[k].lazyProduct(w.dx[k + 1]);
     }
-    const S::Error& last = w.dx[static_cast<std::size_t>(count_ - 1)];
+    const S::Error& last = w.dx[count_ - 1];
     if (!last.allFinite() || !w.dx[0].allFinite()) return give_up();
-    for (int i = 0; i < count_; ++i) state(i) = state(i).plus(w.dx[static_cast<std::size_t>(i)]);
+    for (int i = 0; i < count_; ++i) state(i) = state(i).plus(w.dx[i]);
     report.step = last.cwiseQuotient(covariance_.diagonal().cwiseMax(1e-18).cwiseSqrt()).cwiseAbs().maxCoeff();
     if (report.step < 0.02) {
       ++report.iterations;

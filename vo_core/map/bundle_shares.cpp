@@ -41,13 +41,13 @@ Sandwich correction(const BundleProblem& s) {
     rows += dimensions;
     weights += dimensions * w;
     slopes += dimensions * slope;
-    if (!o.seen.edgelet) band[static_cast<std::size_t>(o.pose)].add(w * r, slope, 2, o.seen.px.y() / s.camera.height());
+    if (!o.seen.edgelet) band[o.pose].add(w * r, slope, 2, o.seen.px.y() / s.camera.height());
   }
   const int free = rows - 3 * s.point_count, left = free - 6 * s.free_count;
   if (left < 10 || !(slopes > 0.05 * rows)) return {};
   double sums = 0.0, squares = 0.0;
   for (int f = 0; f < s.pose_count; ++f) {
-    ResidualSpread& b = band[static_cast<std::size_t>(f)];
+    ResidualSpread& b = band[f];
     b.close_picture();
     sums += b.band_sum_square();
     squares += b.band_square();
@@ -61,7 +61,7 @@ Sandwich correction(const BundleProblem& s) {
 void hold_scale(BundleProblem* s) {
   constexpr double kSigma = 1e-3;
   const SE3& held = s->pose[s->pose_count > s->free_count ? s->free_count : s->free_count - 1];
-  const Vec3 centre = -(held.R.transpose() * held.t);
+  const Vec3 centre = held.centre();
   Eigen::Map<Eigen::VectorXd> mode(s->rhs.data(), 6 * s->free_count);
   for (int f = 0; f < s->free_count; ++f) {
     mode.segment<3>(6 * f) = s->pose[f] * centre;
@@ -93,7 +93,7 @@ void BundleAdjuster::shares(const Map& map, MapShares* out) {
   hold_scale(&s);
   if (!cholesky_factor(s.S.data(), n, BundleProblem::kDim)) return;
   cholesky_invert_factor(s.S.data(), n, BundleProblem::kDim);
-  const auto inverse = [&](int a, int b) -> Mat6& { return s.inverse[static_cast<std::size_t>(a * kMaxFree + b)]; };
+  const auto inverse = [&](int a, int b) -> Mat6& { return s.inverse[a * kMaxFree + b]; };
   for (int a = 0; a < free; ++a)
     for (int b = 0; b < free; ++b)
       inverse(a, b) = cholesky_inverse_block<6>(s.S.data(), n, BundleProblem::kDim, 6 * a, 6 * b);
@@ -102,18 +102,18 @@ void BundleAdjuster::shares(const Map& map, MapShares* out) {
   // T_0f. In place 0 the centre's own noise itself.
   std::array<Mat6, kMaxFree + 1> sum, ad;
   sum.fill(Mat6::Zero());
-  for (int f = 1; f < free; ++f) ad[static_cast<std::size_t>(f)] = adjoint(s.pose[0] * s.pose[f].inverse());
+  for (int f = 1; f < free; ++f) ad[f] = adjoint(s.pose[0] * s.pose[f].inverse());
   for (int i = 0; i < s.point_count; ++i) {
     const BundleProblem::Point& q = s.points[i];
     const Vec3 shift = q.H_inv * q.b;
     std::array<Vec6, kMaxFree> x;  // what this point moves the poses by
-    for (int f = 0; f < free; ++f) x[static_cast<std::size_t>(f)].setZero();
+    for (int f = 0; f < free; ++f) x[f].setZero();
     Vec6 noise = Vec6::Zero();
     for (int j = q.first; j < q.first + q.count; ++j) {
       const BundleProblem::Obs& o = s.obs[j];
       if (!o.used || o.pose >= free) continue;
       const Vec6 pull = o.b - o.Hpl * shift;
-      for (int f = 0; f < free; ++f) x[static_cast<std::size_t>(f)].noalias() += inverse(f, o.pose) * pull;
+      for (int f = 0; f < free; ++f) x[f].noalias() += inverse(f, o.pose) * pull;
       if (o.pose == 0) noise.noalias() = own * o.b;
     }
     sum[0].noalias() += noise * noise.transpose();
@@ -124,12 +124,12 @@ void BundleAdjuster::shares(const Map& map, MapShares* out) {
       sum[k].noalias() += u * u.transpose();
     }
     // Of a keyframe that was held.
-    sum[static_cast<std::size_t>(free)].noalias() += of_map * of_map.transpose();
+    sum[free].noalias() += of_map * of_map.transpose();
   }
   const auto add = [&](int pose, int place) {
-    const Mat6 share = sandwich.factor * sum[static_cast<std::size_t>(place)];
+    const Mat6 share = sandwich.factor * sum[place];
     if (out->count < MapShares::kMax && share.allFinite())
-      out->share[static_cast<std::size_t>(out->count++)] = {map.keyframe(s.pose_place[pose]).id, share};
+      out->share[out->count++] = {map.keyframe(s.pose_place[pose]).id, share};
   };
   for (int f = 0; f < s.pose_count; ++f) {
     if (f < free)

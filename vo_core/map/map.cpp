@@ -45,9 +45,10 @@ PointHandle Map::free_point() {
   return {};
 }
 
-Keyframe& Map::insert_keyframe(int place, std::uint32_t id) {
+Keyframe& Map::insert_keyframe(int place, std::uint32_t id, const KeyframeView& view) {
   assert(keyframes_[place].id == 0 && id != 0);
   Keyframe& kf = keyframes_[place];
+  static_cast<KeyframeView&>(kf) = view;
   kf.id = id;
   kf.feature_count = 0;
   ++keyframe_count_;

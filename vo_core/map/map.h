@@ -41,8 +41,9 @@ struct KeyframeFeature {
   FeatureType type = FeatureType::kCorner;
 };
 
-struct Keyframe {
-  std::uint32_t id = 0;  ///< counts from 1 within an epoch; 0: this place is free
+/// What a keyframe is filled with, on the tracker's side and on the mapper's: its picture, when and from where it was
+/// taken.
+struct KeyframeView {
   std::uint32_t sequence = 0;
   int slot = -1;  ///< frame slot whose picture it holds
   rt::TimeNs t_capture_ns = 0;
@@ -50,10 +51,14 @@ struct Keyframe {
   SE3 T_kf_world;
   Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_kf_world [map units/s, rad/s]
   double median_depth = 1.0;
+};
+
+struct Keyframe : KeyframeView {
+  std::uint32_t id = 0;  ///< counts from 1 within an epoch; 0: this place is free
   int feature_count = 0;
   std::array<KeyframeFeature, kMaxKeyframeFeatures> features;
 
-  Vec3 position() const { return -(T_kf_world.R.transpose() * T_kf_world.t); }
+  Vec3 position() const { return T_kf_world.centre(); }
 };
 
 struct Observation {
@@ -103,7 +108,7 @@ class Map {
   PointHandle free_point();
 
   /// Takes the place for a keyframe and returns it, without features. Precondition: the place is free.
-  Keyframe& insert_keyframe(int place, std::uint32_t id);
+  Keyframe& insert_keyframe(int place, std::uint32_t id, const KeyframeView& view = {});
   /// Frees the place; observations from it are removed, points left without any are deleted.
   void remove_keyframe(int place);
 

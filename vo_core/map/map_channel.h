@@ -29,7 +29,7 @@ class ExchangeRing {
       if (!free_.try_pop(&i)) return nullptr;
       claimed_ = i;
     }
-    return &(*items_)[static_cast<std::size_t>(claimed_)];
+    return &(*items_)[claimed_];
   }
   /// Producer: sends the claimed item.
   void commit() {

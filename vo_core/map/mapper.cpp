@@ -77,8 +77,7 @@ bool Mapper::step() {
 }
 
 void Mapper::handle_reset(const MapperMessage& m) {
-  for (int k = 0; k < kMaxKeyframes; ++k)
-    if (map_.keyframe(k).id != 0) releases_.add(map_.keyframe(k).slot, 1);
+  releases_.add_all(map_);
   map_.clear();
   for (Seed& s : *seeds_) s.active = false;
   epoch_ = m.epoch;
@@ -96,16 +95,11 @@ bool Mapper::place_in_map(const MapperMessage& m, SE3* T_cam_world) const {
 }
 
 void Mapper::handle_keyframe(const MapperMessage& m, const SE3& T_cam_world) {
-  Keyframe& kf = map_.insert_keyframe(m.keyframe_place, m.keyframe_id);
+  const Keyframe& kf =
+      map_.insert_keyframe(m.keyframe_place, m.keyframe_id,
+                           {m.sequence, m.slot, m.t_capture_ns, m.pyramid, T_cam_world, m.velocity, m.median_depth});
   newest_keyframe_id_ = m.keyframe_id;
-  kf.sequence = m.sequence;
-  kf.slot = m.slot;
-  kf.t_capture_ns = m.t_capture_ns;
-  kf.pyramid = m.pyramid;
-  kf.T_kf_world = T_cam_world;
-  kf.velocity = m.velocity;
-  kf.median_depth = m.median_depth;
-  masks_[static_cast<std::size_t>(m.keyframe_place)].assign(m.mask);
+  masks_[m.keyframe_place].assign(m.mask);
   for (int i = 0; i < m.feature_count; ++i) {
     const FrameFeature& f = m.features[i];
     if (m.initial && m.keyframe_id == 1) map_.activate_point(f.point, m.initial_points[i].cast<double>());
@@ -128,7 +122,7 @@ void Mapper::handle_late_mask(const MapperMessage& m) {
   const Keyframe& kf = map_.keyframe(place);
   if (kf.id != m.keyframe_id) return;  // forgotten meanwhile
   // In addition to the earlier mask: a detection misses things, too.
-  masks_[static_cast<std::size_t>(place)].add(m.mask);
+  masks_[place].add(m.mask);
   for (Seed& s : *seeds_)
     if (s.active && s.place == place && m.mask.masked(s.feature.px)) s.active = false;
   // A box holds much that does not move: what two other keyframes have seen beside their masks stays. To take all that

@@ -20,8 +20,8 @@ rt::MaskPyramidView Mapper::spread(const CoarseMask& mask, const rt::PyramidView
   out.levels = pyramid.levels;
   std::uint8_t* storage = mask_storage_.get();
   for (int l = 0; l < pyramid.levels; ++l) {
-    const int width = pyramid.level[static_cast<std::size_t>(l)].width;
-    const int height = pyramid.level[static_cast<std::size_t>(l)].height;
+    const int width = pyramid.level[l].width;
+    const int height = pyramid.level[l].height;
     rt::MutableImageView level{storage, width, height, width};
     storage += static_cast<std::ptrdiff_t>(width) * height;
     for (int y = 0; y < height; ++y) {
@@ -29,10 +29,10 @@ rt::MaskPyramidView Mapper::spread(const CoarseMask& mask, const rt::PyramidView
       const int row = std::min((y << l) >> CoarseMask::kLevel, mask.rows - 1);
       for (int x = 0; x < width; ++x) {
         const int column = std::min((x << l) >> CoarseMask::kLevel, mask.columns - 1);
-        level.row(y)[x] = mask.cell[static_cast<std::size_t>(row * mask.columns + column)];
+        level.row(y)[x] = mask.cell[row * mask.columns + column];
       }
     }
-    out.level[static_cast<std::size_t>(l)] = level;
+    out.level[l] = level;
   }
   return out;
 }
@@ -71,7 +71,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
 
   for (int i = 0; i < n; ++i) {
     // The oldest seed gives way when all places are taken.
-    Seed* seed = &(*seeds_)[static_cast<std::size_t>(next_seed_)];
+    Seed* seed = &(*seeds_)[next_seed_];
     next_seed_ = (next_seed_ + 1) % kMaxSeeds;
     seed->active = true;
     seed->place = place;
@@ -87,7 +87,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
-      update_seed(seed, other.pyramid, masks_[static_cast<std::size_t>(near[k].second)], other.T_kf_world);
+      update_seed(seed, other.pyramid, masks_[near[k].second], other.T_kf_world);
     }
   }
 }
@@ -154,7 +154,7 @@ void Mapper::update_seeds(const MapperMessage& m, const SE3& T_cam_world) {
   int done = 0;
   for (int i = 0; i < kMaxSeeds; ++i) {
     // Newest first.
-    Seed& s = (*seeds_)[static_cast<std::size_t>((next_seed_ - 1 - i + 2 * kMaxSeeds) % kMaxSeeds)];
+    Seed& s = (*seeds_)[(next_seed_ - 1 - i + 2 * kMaxSeeds) % kMaxSeeds];
     if (!s.active) continue;
     ++report_.seeds;
     if (done >= options_.max_seed_updates) continue;
@@ -219,7 +219,7 @@ void Mapper::find_observations(PointHandle h, int host) {
     const Keyframe& kf = map_.keyframe(k);
     Vec2 px;
     if (!camera_.project(kf.T_kf_world * point.p_world, &px) || !camera_.in_image(px, 8.0)) continue;
-    if (masks_[static_cast<std::size_t>(k)].masked(px.cast<float>())) continue;
+    if (masks_[k].masked(px.cast<float>())) continue;
     const SE3 T_k_host = kf.T_kf_world * host_kf.T_kf_world.inverse();
     const PatchSource source{&host_kf.pyramid, &source_feature, d_host.norm()};
     const MatchResult m = match_direct(camera_, source, T_k_host, kf.pyramid, px.cast<float>(), kMaxLevel);

@@ -43,8 +43,8 @@ bool cholesky(std::vector<double>* matrix, int n) {
 void solve_lower(const std::vector<double>& l, int n, double* x) {
   for (int i = 0; i < n; ++i) {
     double s = x[i];
-    for (int k = 0; k < i; ++k) s -= l[static_cast<std::size_t>(i * kMaxDim + k)] * x[k];
-    x[i] = s / l[static_cast<std::size_t>(i * kMaxDim + i)];
+    for (int k = 0; k < i; ++k) s -= l[i * kMaxDim + k] * x[k];
+    x[i] = s / l[i * kMaxDim + i];
   }
 }
 
@@ -52,8 +52,8 @@ void solve_lower(const std::vector<double>& l, int n, double* x) {
 void solve_upper(const std::vector<double>& l, int n, double* x) {
   for (int i = n - 1; i >= 0; --i) {
     double s = x[i];
-    for (int k = i + 1; k < n; ++k) s -= l[static_cast<std::size_t>(k * kMaxDim + i)] * x[k];
-    x[i] = s / l[static_cast<std::size_t>(i * kMaxDim + i)];
+    for (int k = i + 1; k < n; ++k) s -= l[k * kMaxDim + i] * x[k];
+    x[i] = s / l[i * kMaxDim + i];
   }
 }
 
@@ -100,14 +100,14 @@ struct MultiViewRefiner::Impl {
   std::vector<double> scratch = std::vector<double>(static_cast<std::size_t>(kMaxViews) * kRoom);
   MultiViewState trial;
 
-  const Vec2& at(int view, int point) const { return measured[static_cast<std::size_t>(view * kRoom + point)]; }
+  const Vec2& at(int view, int point) const { return measured[view * kRoom + point]; }
 
   void build(const MultiViewState& state, double sigma_px, Normal* n) const {
     const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
     n->cost = 0;
     for (int k = 0; k < views; ++k) {
-      n->A[static_cast<std::size_t>(k)].setZero();
-      n->b[static_cast<std::size_t>(k)].setZero();
+      n->A[k].setZero();
+      n->b[k].setZero();
     }
     InverseDepthResidual e;
     for (int i = 0; i < points; ++i) {
@@ -142,23 +142,21 @@ struct MultiViewRefiner::Impl {
     std::fill(S.begin(), S.end(), 0.0);
     for (int k = 0; k < views; ++k) {
       for (int r = 0; r < 6; ++r) {
-        for (int c = 0; c <= r; ++c)
-          S[static_cast<std::size_t>((6 * k + r) * kMaxDim + 6 * k + c)] = n.A[static_cast<std::size_t>(k)](r, c);
-        S[static_cast<std::size_t>((6 * k + r) * kMaxDim + 6 * k + r)] *= 1.0 + damping;
-        g[6 * k + r] = n.b[static_cast<std::size_t>(k)](r);
+        for (int c = 0; c <= r; ++c) S[(6 * k + r) * kMaxDim + 6 * k + c] = n.A[k](r, c);
+        S[(6 * k + r) * kMaxDim + 6 * k + r] *= 1.0 + damping;
+        g[6 * k + r] = n.b[k](r);
       }
     }
-    const Vec3& t = state.T_view_ref[static_cast<std::size_t>(views - 1)].t;  // length 1
+    const Vec3& t = state.T_view_ref[views - 1].t;  // length 1
     for (int r = 0; r < 3; ++r)
-      for (int c = 0; c <= r; ++c)
-        S[static_cast<std::size_t>((dim - 6 + r) * kMaxDim + dim - 6 + c)] += kScaleWeight * t(r) * t(c);
+      for (int c = 0; c <= r; ++c) S[(dim - 6 + r) * kMaxDim + dim - 6 + c] += kScaleWeight * t(r) * t(c);
     for (int i = 0; i < points; ++i) {
       const auto p = static_cast<std::size_t>(i);
       const double inverse = point_inverse(n, p, damping);
       const double* w = &n.W[p * kMaxDim];
       for (int r = 0; r < dim; ++r) {
         const double s = w[r] * inverse;
-        double* row = &S[static_cast<std::size_t>(r * kMaxDim)];
+        double* row = &S[r * kMaxDim];
         for (int c = 0; c <= r; ++c) row[c] -= s * w[c];
         g[r] -= s * n.d[p];
       }
@@ -180,23 +178,23 @@ struct MultiViewRefiner::Impl {
     solve_upper(S, dim, x.data());
     for (int k = 0; k < views; ++k) {
       const Eigen::Map<const Vec6> dx(x.data() + 6 * k);
-      const SE3& T = state.T_view_ref[static_cast<std::size_t>(k)];
-      next->T_view_ref[static_cast<std::size_t>(k)] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
+      const SE3& T = state.T_view_ref[k];
+      next->T_view_ref[k] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
     }
     for (int i = 0; i < points; ++i) {
       const auto p = static_cast<std::size_t>(i);
       const double* w = &n.W[p * kMaxDim];
       double rest = n.d[p];
-      for (int r = 0; r < dim; ++r) rest -= w[r] * x[static_cast<std::size_t>(r)];
+      for (int r = 0; r < dim; ++r) rest -= w[r] * x[r];
       next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * rest;
     }
-    const double length = next->T_view_ref[static_cast<std::size_t>(views - 1)].t.norm();
+    const double length = next->T_view_ref[views - 1].t.norm();
     if (!(length > 1e-3 && length < 1e3)) return false;
     for (int k = 0; k < views; ++k) {
-      next->T_view_ref[static_cast<std::size_t>(k)].t /= length;
-      next->T_view_ref[static_cast<std::size_t>(k)].normalize();
+      next->T_view_ref[k].t /= length;
+      next->T_view_ref[k].normalize();
     }
-    for (int i = 0; i < points; ++i) next->inverse_depth[static_cast<std::size_t>(i)] *= length;
+    for (int i = 0; i < points; ++i) next->inverse_depth[i] *= length;
     return true;
   }
 };
@@ -222,7 +220,7 @@ void MultiViewRefiner::add_view(std::span<const Vec2> measured) {
 
 void MultiViewRefiner::refine_pose(int view, int iterations, MultiViewState* state) const {
   const Impl& m = *impl_;
-  SE3& T = state->T_view_ref[static_cast<std::size_t>(view)];
+  SE3& T = state->T_view_ref[view];
   InverseDepthResidual e;
   for (int iteration = 0; iteration < iterations; ++iteration) {
     Mat6 A = Mat6::Zero();
@@ -280,8 +278,7 @@ double MultiViewRefiner::cost(const MultiViewState& state, double sigma_px) cons
   for (int i = 0; i < m.points; ++i) {
     const auto p = static_cast<std::size_t>(i);
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p],
-                                    m.at(k, i), m.focal_px);
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, i), m.focal_px);
       sum += front ? kCauchy * kCauchy * std::log1p(e.r.squaredNorm() / width2) : kBehindCost;
     }
   }
@@ -295,9 +292,8 @@ double MultiViewRefiner::sigma(const MultiViewState& state) {
   for (int i = 0; i < m.points; ++i) {
     const auto p = static_cast<std::size_t>(i);
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p],
-                                    m.at(k, i), m.focal_px);
-      m.scratch[static_cast<std::size_t>(count++)] = front ? e.r.norm() : std::numeric_limits<double>::max();
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, i), m.focal_px);
+      m.scratch[count++] = front ? e.r.norm() : std::numeric_limits<double>::max();
     }
   }
   if (count == 0) return m.min_sigma_px;
@@ -314,8 +310,7 @@ double MultiViewRefiner::point_rms(const MultiViewState& state, int point) const
   double sum = 0;
   InverseDepthResidual e;
   for (int k = 0; k < m.views; ++k) {
-    if (!e.evaluate(state.T_view_ref[static_cast<std::size_t>(k)], m.ray[p], state.inverse_depth[p], m.at(k, point),
-                    m.focal_px))
+    if (!e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, point), m.focal_px))
       return std::numeric_limits<double>::infinity();
     sum += e.r.squaredNorm();
   }
@@ -341,8 +336,7 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
     const auto p = static_cast<std::size_t>(i);
     if (use[p] == 0) continue;
     used += 1;
-    for (int r = 0; r < dim; ++r)
-      mean[static_cast<std::size_t>(r)] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
+    for (int r = 0; r < dim; ++r) mean[r] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
   }
   if (used < 1) return false;
   for (double& v : mean) v /= used;
@@ -360,7 +354,7 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
     }
     solve_lower(m.S, dim, x.data());
     double variance = inverse / (state.inverse_depth[p] * state.inverse_depth[p]);
-    for (int r = 0; r < dim; ++r) variance += x[static_cast<std::size_t>(r)] * x[static_cast<std::size_t>(r)];
+    for (int r = 0; r < dim; ++r) variance += x[r] * x[r];
     out[p] = sigma_px * std::sqrt(variance);
   }
   return true;

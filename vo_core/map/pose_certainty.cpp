@@ -10,8 +10,7 @@ void PoseCertainty::clear() {
 
 const MapShare* PoseCertainty::find_share(std::uint32_t keyframe_id) const {
   for (int i = 0; i < shares_.count; ++i)
-    if (shares_.share[static_cast<std::size_t>(i)].keyframe_id == keyframe_id)
-      return &shares_.share[static_cast<std::size_t>(i)];
+    if (shares_.share[i].keyframe_id == keyframe_id) return &shares_.share[i];
   return nullptr;
 }
 
@@ -58,7 +57,7 @@ Mat6 PoseCertainty::in_map(const Map& map, const RelativePose& relative) const {
   const int place = map.find_keyframe(relative.keyframe_id);
   if (place < 0) return relative.covariance;
   const Mat6 ad = adjoint(relative.T_ref_cam.inverse());
-  return relative.covariance + ad * in_map_[static_cast<std::size_t>(place)] * ad.transpose();
+  return relative.covariance + ad * in_map_[place] * ad.transpose();
 }
 
 }  // namespace godwit::vo

@@ -63,7 +63,7 @@ class PoseCertainty {
   /// What the mapper found out with its last adjustment.
   void take(const MapShares& shares) { shares_ = shares; }
   /// The frame just judged becomes a keyframe at this place.
-  void keyframe(int place, const Mat6& covariance) { in_map_[static_cast<std::size_t>(place)] = covariance; }
+  void keyframe(int place, const Mat6& covariance) { in_map_[place] = covariance; }
 
   /// Pose and covariance relative to the reference keyframe, of a frame at T_cam_world whose own noise is `own` (left
   /// twist of T_cam_world, the map taken for true).

@@ -5,6 +5,7 @@
 #include <cassert>
 
 #include "hal/rt/frame_pool.h"
+#include "vo_core/map/map.h"
 #include "vo_core/map/map_exchange.h"
 
 namespace godwit::vo {
@@ -17,17 +18,22 @@ class SlotReleases {
   void add(int slot, int count) {
     if (slot < 0 || count <= 0) return;
     for (int i = 0; i < size_; ++i) {
-      if (entries_[static_cast<std::size_t>(i)].slot != slot) continue;
-      entries_[static_cast<std::size_t>(i)].count += count;
+      if (entries_[i].slot != slot) continue;
+      entries_[i].count += count;
       return;
     }
     assert(size_ < rt::kMaxFrameSlots && "slots are numbered beyond what a pool has");
-    if (size_ < rt::kMaxFrameSlots) entries_[static_cast<std::size_t>(size_++)] = {slot, count};
+    if (size_ < rt::kMaxFrameSlots) entries_[size_++] = {slot, count};
+  }
+  /// One reference of each keyframe of a map that is about to be given up.
+  void add_all(const Map& map) {
+    for (int k = 0; k < kMaxKeyframes; ++k)
+      if (map.keyframe(k).id != 0) add(map.keyframe(k).slot, 1);
   }
   /// False when there are none.
   bool take(SlotRelease* out) {
     if (size_ == 0) return false;
-    *out = entries_[static_cast<std::size_t>(--size_)];
+    *out = entries_[--size_];
     return true;
   }
 

@@ -333,7 +333,7 @@ struct Initializer::Impl {
     for (int k = 1; k < solution_count; ++k) compare(s, solution(k), report);
 
     report->depth_uncertainty = median_of_good([&](std::size_t p) { return depth_sigma[p]; });
-    const Vec3 centre = s.state.T_view_ref[last].inverse().t;
+    const Vec3 centre = s.state.T_view_ref[last].centre();
     report->median_parallax_deg = median_of_good([&](std::size_t p) {
       const Vec3 point = ray(p) / s.state.inverse_depth[p];
       const double c = point.normalized().dot((point - centre).normalized());

@@ -126,18 +126,19 @@ struct TrackerOptions {
   /// promising, and a following frame tracked from it convincing, before it counts.
   rt::TimeNs direct_gap_ns = 150 * rt::kNsPerMs;
   rt::TimeNs last_frame_gap_ns = rt::kNsPerSecond;  ///< older last frames are not aligned with any more
-  struct Gate {
+  /// What a pose must show to be believed.
+  struct Proof {
     int measurements;
     double inlier_share;  ///< of the matches
     double found_share;   ///< of the alignments tried
   };
-  Gate promising{30, 0.5, 0.15};
-  Gate convincing{40, 0.6, 0.30};
+  Proof promising{30, 0.5, 0.15};
+  Proof convincing{40, 0.6, 0.30};
   /// With fewer than min_measurements a pose does not count as tracked. But where movers hide more than `crowded` of
   /// the picture, and nearly all of what should be seen beside them is seen and agrees, it is good enough to go on
   /// from, and to map with, for a while.
   double crowded = kCrowdedShare;
-  Gate few_but_sure{18, 0.8, 0.5};
+  Proof few_but_sure{18, 0.8, 0.5};
   /// With fewer measurements in the last frame, points that motion blur hides are looked for on coarser levels, too. On
   /// euroc_mh01 the fastest turns leave 36 measurements without that and 54 with it.
   int plenty = 120;
@@ -209,7 +210,7 @@ class Tracker {
   // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
   bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
   // These say in refusal_ what they refuse for.
-  bool passes(const TrackerOptions::Gate& gate, const FrameResult& r);
+  bool passes(const TrackerOptions::Proof& wanted, const FrameResult& r);
   bool enough_found(double share, const FrameResult& r);
   bool enough_agree(double share, const FrameResult& r);
   bool as_noisy_as_stated(const FrameResult& r);

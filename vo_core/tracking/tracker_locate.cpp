@@ -143,12 +143,12 @@ bool Tracker::as_noisy_as_stated(const FrameResult& r) {
   return false;
 }
 
-bool Tracker::passes(const TrackerOptions::Gate& gate, const FrameResult& r) {
-  if (r.measurements < gate.measurements) {
-    refusal_ = {"too few features to be sure", r.measurements, gate.measurements};
+bool Tracker::passes(const TrackerOptions::Proof& wanted, const FrameResult& r) {
+  if (r.measurements < wanted.measurements) {
+    refusal_ = {"too few features to be sure", r.measurements, wanted.measurements};
     return false;
   }
-  return enough_agree(gate.inlier_share, r) && enough_found(gate.found_share, r);
+  return enough_agree(wanted.inlier_share, r) && enough_found(wanted.found_share, r);
 }
 
 bool Tracker::as_expected(const Frame& frame) {
@@ -228,7 +228,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       // After a guess, or after poses that did not count, one must convince before it does.
       if (followed || unproved_ > 0) {
         // Found where the camera should be, there are two witnesses.
-        const TrackerOptions::Gate& enough = frame->expected.known ? options_.promising : options_.convincing;
+        const TrackerOptions::Proof& enough = frame->expected.known ? options_.promising : options_.convincing;
         if (counts && (sure || passes(enough, *result))) {
           unproved_ = 0;
           return Kind::kPose;

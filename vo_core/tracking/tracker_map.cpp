@@ -26,8 +26,7 @@ void Tracker::retire(Frame* frame) {
 void Tracker::begin_map() {
   retire(&first_);
   retire(&last_);
-  for (int k = 0; k < kMaxKeyframes; ++k)
-    if (map_->keyframe(k).id != 0) releases_.add(map_->keyframe(k).slot, 1);
+  releases_.add_all(*map_);
   map_->clear();
   landmarks_->forget();
   certainty_.clear();
@@ -121,15 +120,10 @@ void Tracker::apply(const MapDelta& d) {
 int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   const int place = map_->free_keyframe_place();
   if (place < 0) return -1;
-  Keyframe& kf = map_->insert_keyframe(place, id);
+  map_->insert_keyframe(place, id,
+                        {frame.sequence, frame.slot, frame.t_capture_ns, frame.pyramid, frame.T_cam_world,
+                         frame.velocity, median_depth_});
   relocaliser_->add_keyframe(place, id, frame.pyramid, frame.mask);
-  kf.sequence = frame.sequence;
-  kf.slot = frame.slot;
-  kf.t_capture_ns = frame.t_capture_ns;
-  kf.pyramid = frame.pyramid;
-  kf.T_kf_world = frame.T_cam_world;
-  kf.velocity = frame.velocity;
-  kf.median_depth = median_depth_;
   for (int i = 0; i < map_feature_count_; ++i) map_->append_feature(place, keyframe_feature(camera_, features_[i]));
   return place;
 }

@@ -6,7 +6,7 @@
 
 namespace godwit::link::dronecan {
 
-/// Calls f.template operator()<Type>() for every type.
+/// Calls `f.template operator()<Type>()` for every type.
 template <typename F>
 void for_each_type(F&& f) {
   f.template operator()<NodeStatus>();

@@ -89,9 +89,6 @@ void Endpoint::take(const RawMessage& raw, rt::TimeNs now_ns) {
       }
       return;
     }
-    case GpsGlobalOrigin::kId:
-      has_origin_ = true;
-      return;
     case ParamValue::kId: {
       ParamValue m;
       decode(raw, &m);

@@ -82,10 +82,8 @@ class Endpoint {
   bool armed() const { return armed_; }
   rt::TimeNs t_heartbeat_ns() const { return t_heartbeat_ns_; }
   std::uint8_t vehicle_type() const { return vehicle_type_; }  ///< MAV_TYPE of its HEARTBEAT; 0: none came
-  bool has_origin() const { return has_origin_; }              ///< the autopilot announced a GPS_GLOBAL_ORIGIN
   const TimeSync& time_sync() const { return time_sync_; }
   const EndpointCounters& counters() const { return counters_; }
-  const ParserCounters& parser_counters() const { return parser_.counters(); }
 
  private:
   struct Wanted {
@@ -112,7 +110,6 @@ class Endpoint {
   std::uint8_t autopilot_component_ = 1;
   std::uint8_t vehicle_type_ = 0;
   bool armed_ = false;
-  bool has_origin_ = false;
   rt::TimeNs t_heartbeat_ns_ = 0;
   rt::TimeNs t_next_heartbeat_ns_ = 0;
   rt::TimeNs t_next_timesync_ns_ = 0;

@@ -224,7 +224,7 @@ struct Odometry : MessageInfo<331, 91, 233> {
   }
 };
 
-/// Calls f.template operator()<Message>() for every message.
+/// Calls `f.template operator()<Message>()` for every message.
 template <typename F>
 void for_each_message(F&& f) {
   f.template operator()<Heartbeat>();

@@ -37,7 +37,7 @@ void FedCamera::feed() {
     rt::MutableImageView grey;
     if (const int* const place = free_.front()) {
       index = *place;
-      to = &pictures_[static_cast<std::size_t>(index)];
+      to = &pictures_[index];
       grey = {to->grey.data(), inner_->width(), inner_->height(), inner_->width()};
     }
     std::uint8_t* const bgr = to->bgr.empty() ? nullptr : to->bgr.data();
@@ -57,7 +57,7 @@ void FedCamera::feed() {
 CameraStatus FedCamera::hand_over(const Done& done, const rt::MutableImageView& grey, std::uint8_t* bgr,
                                   CapturedFrame* frame, std::string* why) {
   if (done.picture < 0) return done.status;
-  const Picture& p = pictures_[static_cast<std::size_t>(done.picture)];
+  const Picture& p = pictures_[done.picture];
   *frame = p.frame;
   if (done.status == CameraStatus::kBadFrame && why != nullptr) why->assign(p.why);
   if (done.status == CameraStatus::kFrame && grey.data != nullptr) {

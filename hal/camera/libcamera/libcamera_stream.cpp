@@ -88,8 +88,7 @@ void LibcameraStream::keep() {
 
 void LibcameraStream::completed(const CompletedRequest& request) {
   if (request.index >= count_ || !out_[request.index].exchange(false, std::memory_order_acquire)) {
-    unasked_.fetch_add(1, std::memory_order_relaxed);
-    return;
+    return;  // it came back and was not out
   }
   done_.try_push(request);
   wake_.post();

@@ -30,8 +30,6 @@ class LibcameraStream final : public PictureStream, private RequestListener {
   PixelFormat format() const override { return format_; }
   int stride() const override { return stride_; }
   const std::vector<std::string>& notes() const override { return notes_; }
-  /// Requests that came back and were not out. Any thread.
-  std::uint64_t unasked() const { return unasked_.load(std::memory_order_relaxed); }
 
  private:
   static constexpr std::uint32_t kBuffers = 6;       ///< a fifth of a second at 30 Hz
@@ -61,7 +59,6 @@ class LibcameraStream final : public PictureStream, private RequestListener {
   rt::SpscRing<CompletedRequest, kMostBuffers>
       done_;                                        ///< libcamera to reader; no more can be out than there are places
   rt::SpscRing<std::uint32_t, kMostBuffers> back_;  ///< reader to keeper
-  std::atomic<std::uint64_t> unasked_{0};           ///< a number alone
   /// libcamera or the keeper to the reader: nothing comes any more. Relaxed: what came before lies in done_, which is
   /// looked at first.
   std::atomic<bool> gone_{false};

@@ -88,7 +88,7 @@ std::string ReplayCamera::picture_file(const SequenceEntry& entry) const {
 
 rt::Result<void> ReplayCamera::plan_passes() {
   for (std::int64_t i = first_; i < last_; ++i) {
-    if (index_.entries[static_cast<std::size_t>(i)].fault == TimeFault::kNone) way_.push_back(i);
+    if (index_.entries[i].fault == TimeFault::kNone) way_.push_back(i);
   }
   if (way_.size() < 2) {
     return rt::Error{layout_.index_file + ": " + std::to_string(way_.size()) +
@@ -100,7 +100,7 @@ rt::Result<void> ReplayCamera::plan_passes() {
 
 const SequenceEntry& ReplayCamera::entry_at(std::int64_t number, rt::TimeNs* t_ns) const {
   if (way_.empty()) {
-    const SequenceEntry& entry = index_.entries[static_cast<std::size_t>(first_ + number)];
+    const SequenceEntry& entry = index_.entries[first_ + number];
     *t_ns = entry.t_ns;
     return entry;
   }
@@ -108,9 +108,7 @@ const SequenceEntry& ReplayCamera::entry_at(std::int64_t number, rt::TimeNs* t_n
   const std::int64_t pass = number / steps;
   const std::int64_t step = number % steps;
   const bool back = pass % 2 == 1;
-  const auto at = [&](std::int64_t place) -> const SequenceEntry& {
-    return index_.entries[static_cast<std::size_t>(way_[static_cast<std::size_t>(place)])];
-  };
+  const auto at = [&](std::int64_t place) -> const SequenceEntry& { return index_.entries[way_[place]]; };
   const SequenceEntry& entry = at(back ? steps - step : step);
   const rt::TimeNs into = back ? at(steps).t_ns - entry.t_ns : entry.t_ns - at(0).t_ns;
   *t_ns = at(0).t_ns + pass * (at(steps).t_ns - at(0).t_ns) + into;
@@ -121,7 +119,7 @@ rt::Result<void> ReplayCamera::check_size() {
   std::string mismatch;
   int decoded = 0;
   for (std::int64_t i = first_; i < last_ && i < first_ + 4 * kPicturesProbed && decoded < kPicturesProbed; ++i) {
-    const std::string file = picture_file(index_.entries[static_cast<std::size_t>(i)]);
+    const std::string file = picture_file(index_.entries[i]);
     if (!decoder_.load(file)) continue;  // bad pictures are told of when they are due
     if (decoder_.width() == width() && decoder_.height() == height()) return {};
     if (mismatch.empty()) {

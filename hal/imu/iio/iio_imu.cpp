@@ -144,7 +144,7 @@ ImuStatus IioImu::take(Line* line, rt::TimeNs give_up_ns, IioScan* scan) {
         return ImuStatus::kFault;
       }
     }
-    *scan = line->scans[static_cast<std::size_t>(line->next++)];
+    *scan = line->scans[line->next++];
     scan->t_ns += line->offset_ns;
     if (scan->t_ns > line->heard_ns + kFutureNs || scan->t_ns < line->heard_ns - kOldNs) {
       if (counters_.wrong_time++ == 0) {

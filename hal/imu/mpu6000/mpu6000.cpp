@@ -276,7 +276,7 @@ ImuStatus Mpu6000::next(ImuSample* sample, rt::TimeNs timeout_ns) {
     const ImuStatus status = look(give_up);
     if (status != ImuStatus::kSample) return status;
   }
-  *sample = ready_[static_cast<std::size_t>(ready_next_++)];
+  *sample = ready_[ready_next_++];
   return ImuStatus::kSample;
 }
 
@@ -334,7 +334,7 @@ ImuStatus Mpu6000::fetch(int count, rt::TimeNs before_ns) {
     if (!convert(raw + static_cast<std::size_t>(i) * kSampleBytes, &s)) return ImuStatus::kFault;
     if (gap_) s.flags |= kImuGap;
     gap_ = false;
-    ready_[static_cast<std::size_t>(ready_count_++)] = s;
+    ready_[ready_count_++] = s;
     ++counters_.samples;
   }
   return ImuStatus::kSample;

@@ -129,8 +129,8 @@ hal::GnssStatus SimGnss::next(hal::GnssSample* sample, rt::TimeNs) {
     wander_[i] = (index_ == 1 ? 0 : decay) * wander_[i] + kick * sigma * rng_.gaussian();
     const double velocity_noise = 0.05 * rng_.gaussian();
     if (t >= plan.lost_after_s) continue;
-    sample->position_m[static_cast<std::size_t>(i)] = body.position_m[i] + wander_[i];
-    sample->velocity_m_s[static_cast<std::size_t>(i)] = body.velocity_m_s[i] + velocity_noise;
+    sample->position_m[i] = body.position_m[i] + wander_[i];
+    sample->velocity_m_s[i] = body.velocity_m_s[i] + velocity_noise;
   }
   sample->sigma_position_m = plan.sigma_m;
   sample->fix = t < plan.lost_after_s;

@@ -147,7 +147,7 @@ void Renderer::draw_tile(int column, int row) {
     bool faces = true;
     const FrameSurface& surface = surfaces_[triangle.surface];
     for (int k = 0; k < 2; ++k) {
-      const RowPose& pose = row_poses_[static_cast<std::size_t>(row + k)];
+      const RowPose& pose = row_poses_[row + k];
       double v[3][3];
       for (int i = 0; i < 3; ++i) {
         double p[3];

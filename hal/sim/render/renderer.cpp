@@ -67,7 +67,7 @@ void Renderer::render(double t_s) {
   pose_ = camera_pose(trajectory_, rig_, t_s);
   margin_ = 0;
   if (rig_.readout_s > 0) {
-    for (int r = 0; r <= rays_.rows; ++r) row_poses_[static_cast<std::size_t>(r)] = row_pose(r * kTile - 0.5, t_s);
+    for (int r = 0; r <= rays_.rows; ++r) row_poses_[r] = row_pose(r * kTile - 0.5, t_s);
     for (const RowPose* p : {&row_poses_.front(), &row_poses_.back()}) {
       const double turn = Eigen::AngleAxisd(p->R).angle();
       // Nothing that matters is closer than a metre; movers add their own motion.
@@ -148,10 +148,10 @@ void Renderer::add_triangle(const Vec3& a, const Vec3& b, const Vec3& c, std::ui
   triangles_.push_back(t);
   coefficients_.push_back(k);
   int c0 = 0, c1 = rays_.columns - 1, r0 = 0, r1 = rays_.rows - 1;
-  while (c0 <= c1 && rays_.column_max[static_cast<std::size_t>(c0)] < x0) ++c0;
-  while (c1 >= c0 && rays_.column_min[static_cast<std::size_t>(c1)] > x1) --c1;
-  while (r0 <= r1 && rays_.row_max[static_cast<std::size_t>(r0)] < y0) ++r0;
-  while (r1 >= r0 && rays_.row_min[static_cast<std::size_t>(r1)] > y1) --r1;
+  while (c0 <= c1 && rays_.column_max[c0] < x0) ++c0;
+  while (c1 >= c0 && rays_.column_min[c1] > x1) --c1;
+  while (r0 <= r1 && rays_.row_max[r0] < y0) ++r0;
+  while (r1 >= r0 && rays_.row_min[r1] > y1) --r1;
   for (int r = r0; r <= r1; ++r) {
     for (int col = c0; col <= c1; ++col) {
       const std::size_t at = static_cast<std::size_t>(r * rays_.columns + col);
@@ -183,7 +183,7 @@ Renderer::FrameSurface Renderer::frame_surface(const Surface& s, const Mat3& R_w
   const Vec3 eye = R_world_thing.transpose() * (pose_.position_m - offset_m) - s.origin.cast<double>();
   const Vec3 u = s.u.cast<double>(), v = s.v.cast<double>();
   FrameSurface out{};
-  out.texture = &world_.textures()[static_cast<std::size_t>(s.texture)];
+  out.texture = &world_.textures()[s.texture];
   const double size = out.texture->size;
   Eigen::Map<Vec3f>(out.u) = (R_thing_cam.transpose() * u).cast<float>();
   Eigen::Map<Vec3f>(out.v) = (R_thing_cam.transpose() * v).cast<float>();
@@ -206,12 +206,12 @@ void Renderer::add_terrain(double reach_m, int step, double lower_m, std::uint32
   for (int j = 0; j < side; ++j) {
     for (int i = 0; i < side; ++i) {
       const Vec3 p((i0 + i) * cell, (j0 + j) * cell, terrain.corner((i0 + i) * step, (j0 + j) * step) - lower_m);
-      corner_cache_[static_cast<std::size_t>(j * side + i)] = R * (p - pose_.position_m);
+      corner_cache_[j * side + i] = R * (p - pose_.position_m);
     }
   }
   for (int j = 0; j < n; ++j) {
     for (int i = 0; i < n; ++i) {
-      const Vec3* row = &corner_cache_[static_cast<std::size_t>(j * side + i)];
+      const Vec3* row = &corner_cache_[j * side + i];
       const Vec3 &p00 = row[0], &p10 = row[1], &p01 = row[side], &p11 = row[side + 1];
       if (!in_sight(0.5 * (p00 + p11), cell)) continue;
       add_triangle(p00, p10, p11, surface);
@@ -251,7 +251,7 @@ void Renderer::add_movers(double t_s) {
   const Mat3 R = pose_.R_world_cam.transpose();
   for (std::size_t i = 0; i < world_.movers().size(); ++i) {
     const Mover& mover = world_.movers()[i];
-    const MoverModel& model = world_.models()[static_cast<std::size_t>(mover.model)];
+    const MoverModel& model = world_.models()[mover.model];
     MoverInSight seen{static_cast<int>(i), 0, 0, Vec3::Zero(), world_.mover_at(static_cast<int>(i), t_s), Vec3::Zero()};
     const Vec3& at = seen.state.position_m;
     seen.shift = Vec3(nearest_copy(at.x(), pose_.position_m.x()), nearest_copy(at.y(), pose_.position_m.y()), 0);

@@ -95,7 +95,6 @@ class Renderer {
     Vec3 t;
     double dt_s;
   };
-  struct Projected;
 
   static bool coefficients(const double v[3][3], Coefficients* out);
   void collect(double t_s);

@@ -26,7 +26,7 @@ void Renderer::find_boxes() {
   for (const MoverInSight& seen : movers_) {
     const int pixels = mover_pixels_[static_cast<std::size_t>(seen.mover) + 1];
     if (pixels == 0) continue;
-    const Mover& mover = world_.movers()[static_cast<std::size_t>(seen.mover)];
+    const Mover& mover = world_.movers()[seen.mover];
     TrueBox box{seen.mover, mover.kind, mover.moving, 1e9, 1e9, -1e9, -1e9, pixels};
     bool around_eye = false;
     for (std::uint32_t t = seen.first_triangle; t < seen.end_triangle; ++t) {
@@ -60,8 +60,7 @@ void Renderer::cast_mover_shadows(double) {
   const float dark = sun ? static_cast<float>(plan.ambient * 0.9) : 0.6f;
   const Mat3 R = pose_.R_world_cam.transpose();
   for (const MoverInSight& seen : movers_) {
-    const MoverModel& model =
-        world_.models()[static_cast<std::size_t>(world_.movers()[static_cast<std::size_t>(seen.mover)].model)];
+    const MoverModel& model = world_.models()[world_.movers()[seen.mover].model];
     const Vec3 at = seen.state.position_m + seen.shift;
     const Vec2 ahead = seen.state.R_world_mover.col(0).head<2>().normalized(), left(-ahead.y(), ahead.x());
     // Bounds in the picture of the ground below thing and shadow.

@@ -83,7 +83,7 @@ float dot(const float* a, const float* b) {
 void Renderer::shade_tile(int column, int row, const float* depth, const std::uint32_t* surface) {
   const D d;
   const int lanes = static_cast<int>(hn::Lanes(d));
-  const RayTable::Tile& tile = rays_.tiles[static_cast<std::size_t>(row * rays_.columns + column)];
+  const RayTable::Tile& tile = rays_.tiles[row * rays_.columns + column];
   const bool rolling = rig_.readout_s > 0;
   const V haze = hn::Set(d, static_cast<float>(world_.plan().haze_m)), haze_light = hn::Set(d, haze_radiance_);
   const Texture& detail = world_.textures()[kTexDetail];
@@ -156,7 +156,7 @@ void Renderer::shade_tile(int column, int row, const float* depth, const std::ui
     float R[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, t[3] = {0, 0, 0}, dt = 0;
     if (rolling) {
       // The row's rays and eye, seen from the middle row's frame.
-      const RowPose &a = row_poses_[static_cast<std::size_t>(row)], &b = row_poses_[static_cast<std::size_t>(row) + 1];
+      const RowPose &a = row_poses_[row], &b = row_poses_[static_cast<std::size_t>(row) + 1];
       const double f = (y + 0.5) / kTile;
       for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) R[i][j] = static_cast<float>((1 - f) * a.R(j, i) + f * b.R(j, i));

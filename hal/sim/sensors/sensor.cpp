@@ -116,8 +116,7 @@ void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, cons
         // Angle to the sun: a bright core and a wide veil.
         const float cosine = (x[c] * sx + y[c] * sy + sz) / std::sqrt(x[c] * x[c] + y[c] * y[c] + 1.0f);
         const float a = 1.0f - cosine;
-        veil_[static_cast<std::size_t>(c)] =
-            glare * (3.0f / (1.0f + 4000.0f * a * a * 40.0f) + 0.6f / (1.0f + 14.0f * a));
+        veil_[c] = glare * (3.0f / (1.0f + 4000.0f * a * a * 40.0f) + 0.6f / (1.0f + 14.0f * a));
       }
     }
     const float* noise = noise_.data() + (mix(seed_ ^ index, static_cast<std::uint64_t>(r)) & (kNoiseValues - 1));
@@ -126,7 +125,7 @@ void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, cons
     for (int c = 0; c < width; ++c) {
       const float shade = 1.0f - fall * (x[c] * x[c] + y[c] * y[c]);
       float value = in[c] * gain * shade;
-      if (glare > 0) value += veil_gain * veil_[static_cast<std::size_t>(c)];
+      if (glare > 0) value += veil_gain * veil_[c];
       value += noise[c] * std::sqrt(read2 + shot * value);
       out[c] = static_cast<std::uint8_t>(std::min(255.0f, std::max(0.0f, value + 0.5f)));
     }

@@ -32,7 +32,27 @@ class Layout {
 
   // Things.
   template <typename Make>
-  void object(Make make);
+  void object(Make make) {
+    Mesh& mesh = world_.mesh_;
+    const std::uint32_t t0 = static_cast<std::uint32_t>(mesh.triangles.size()),
+                        v0 = static_cast<std::uint32_t>(mesh.vertices.size()),
+                        s0 = static_cast<std::uint32_t>(mesh.surfaces.size());
+    make(&mesh);
+    StaticObject o{t0,
+                   static_cast<std::uint32_t>(mesh.triangles.size()) - t0,
+                   s0,
+                   static_cast<std::uint32_t>(mesh.surfaces.size()) - s0,
+                   Vec3f::Zero(),
+                   0};
+    Vec3f low = mesh.vertices[v0], high = low;
+    for (std::size_t i = v0; i < mesh.vertices.size(); ++i) {
+      low = low.cwiseMin(mesh.vertices[i]);
+      high = high.cwiseMax(mesh.vertices[i]);
+    }
+    o.centre = 0.5f * (low + high);
+    o.radius = 0.5f * (high - low).norm();
+    world_.objects_.push_back(o);
+  }
   void house(double x, double y, bool along_x);
   void block(double x, double y, double half_x, double half_y, double height, int facade);
   void tree(double x, double y, double size);
@@ -55,28 +75,5 @@ class Layout {
   Rng rng_;
   int cars_ = 0, trucks_ = 0, people_ = 0;  ///< number of models of each kind
 };
-
-template <typename Make>
-void Layout::object(Make make) {
-  Mesh& mesh = world_.mesh_;
-  const std::uint32_t t0 = static_cast<std::uint32_t>(mesh.triangles.size()),
-                      v0 = static_cast<std::uint32_t>(mesh.vertices.size()),
-                      s0 = static_cast<std::uint32_t>(mesh.surfaces.size());
-  make(&mesh);
-  StaticObject o{t0,
-                 static_cast<std::uint32_t>(mesh.triangles.size()) - t0,
-                 s0,
-                 static_cast<std::uint32_t>(mesh.surfaces.size()) - s0,
-                 Vec3f::Zero(),
-                 0};
-  Vec3f low = mesh.vertices[v0], high = low;
-  for (std::size_t i = v0; i < mesh.vertices.size(); ++i) {
-    low = low.cwiseMin(mesh.vertices[i]);
-    high = high.cwiseMax(mesh.vertices[i]);
-  }
-  o.centre = 0.5f * (low + high);
-  o.radius = 0.5f * (high - low).norm();
-  world_.objects_.push_back(o);
-}
 
 }  // namespace godwit::sim

@@ -128,9 +128,7 @@ void Mesh::blob(const Vec3& centre, double radius_across, double radius_up, doub
     surfaces.push_back(lay(shifted, centre, Vec3::Unit((axis + 1) % 3), Vec3::Unit((axis + 2) % 3), normal));
   }
   for (const auto& f : kFaces) {
-    const Vec3 a = corner[static_cast<std::size_t>(f[0])].normalized(),
-               b = corner[static_cast<std::size_t>(f[1])].normalized(),
-               c = corner[static_cast<std::size_t>(f[2])].normalized();
+    const Vec3 a = corner[f[0]].normalized(), b = corner[f[1]].normalized(), c = corner[f[2]].normalized();
     const Vec3 ab = (a + b).normalized(), bc = (b + c).normalized(), ca = (c + a).normalized();
     for (const auto& t : {std::array<Vec3, 3>{a, ab, ca}, {ab, b, bc}, {ca, bc, c}, {ab, bc, ca}}) {
       std::array<Vec3, 3> p = {place(t[0]), place(t[1]), place(t[2])};

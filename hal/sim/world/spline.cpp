@@ -34,7 +34,7 @@ SplineSample QuinticSpline::sample(double t_s) const {
     for (int k = 5; k >= 0; --k) {
       ddp = ddp * u + 2.0 * dp;
       dp = dp * u + p;
-      p = p * u + kBasis[i][static_cast<std::size_t>(k)];
+      p = p * u + kBasis[i][k];
     }
     const Vec6& c = control_[first + i];
     out.value += p / 120.0 * c;

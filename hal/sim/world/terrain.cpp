@@ -16,7 +16,7 @@ Terrain::Terrain(double relief_m, std::uint64_t seed) : heights_(static_cast<std
     std::vector<double> lattice(static_cast<std::size_t>(n * n));
     Rng rng(seed, static_cast<std::uint64_t>(cell));
     for (double& v : lattice) v = rng.uniform(-0.5, 0.5);
-    const auto at = [&](int i, int j) { return lattice[static_cast<std::size_t>((j % n) * n + i % n)]; };
+    const auto at = [&](int i, int j) { return lattice[(j % n) * n + i % n]; };
     const auto smooth = [](double t) { return t * t * t * (t * (6 * t - 15) + 10); };
     for (int j = 0; j < kCells; ++j) {
       for (int i = 0; i < kCells; ++i) {
@@ -24,7 +24,7 @@ Terrain::Terrain(double relief_m, std::uint64_t seed) : heights_(static_cast<std
         const double u = smooth(static_cast<double>(i % cell) / cell), v = smooth(static_cast<double>(j % cell) / cell);
         const double low = at(a, b) + u * (at(a + 1, b) - at(a, b));
         const double high = at(a, b + 1) + u * (at(a + 1, b + 1) - at(a, b + 1));
-        heights_[static_cast<std::size_t>(j * kCells + i)] += static_cast<float>(amplitude * (low + v * (high - low)));
+        heights_[j * kCells + i] += static_cast<float>(amplitude * (low + v * (high - low)));
       }
     }
     amplitude *= 0.5;

@@ -21,7 +21,7 @@ class Terrain {
   /// Grid corner (i, j), which wraps, lies at (i, j) * kCellM.
   float corner(int i, int j) const {
     constexpr int kMask = kCells - 1;
-    return heights_[static_cast<std::size_t>((j & kMask) * kCells + (i & kMask))];
+    return heights_[(j & kMask) * kCells + (i & kMask)];
   }
   /// Height at a point, on the triangles: each cell is cut from its (0, 0) to its (1, 1) corner.
   double height(double x, double y) const;

@@ -31,7 +31,7 @@ void Canvas::set(int x, int y, double brightness, double grain) {
 void Canvas::scale_row(int y, std::span<const float> factors) {
   std::uint8_t* out = &brightness_[index(0, y)];
   for (int x = 0; x < size_; ++x) {
-    const float value = static_cast<float>(out[x]) * factors[static_cast<std::size_t>(x)] + 0.5f;
+    const float value = static_cast<float>(out[x]) * factors[x] + 0.5f;
     out[x] = static_cast<std::uint8_t>(std::min(255.0f, std::max(0.0f, value)));
   }
 }
@@ -99,12 +99,11 @@ void Canvas::noise(std::span<const int> cells, double amplitude, std::uint64_t s
     std::fill(sum.begin(), sum.end(), 0.0f);
     for (Octave& o : octaves) {
       const int n = std::max(1, size_ / o.cell), a = (y / o.cell) % o.lattice, b = (a + 1) % o.lattice;
-      const float wy = o.weight[static_cast<std::size_t>(y % o.cell)];
-      const float *va = &o.values[static_cast<std::size_t>(a * o.lattice)],
-                  *vb = &o.values[static_cast<std::size_t>(b * o.lattice)];
+      const float wy = o.weight[y % o.cell];
+      const float *va = &o.values[a * o.lattice], *vb = &o.values[b * o.lattice];
       for (int i = 0; i <= n; ++i) {
         const int k = i & (o.lattice - 1);
-        o.row[static_cast<std::size_t>(i)] = va[k] + wy * (vb[k] - va[k]);
+        o.row[i] = va[k] + wy * (vb[k] - va[k]);
       }
       float* out = sum.data();
       const float* row = o.row.data();
@@ -114,14 +113,14 @@ void Canvas::noise(std::span<const int> cells, double amplitude, std::uint64_t s
       }
       for (int i = 0; i < n; ++i, out += o.cell) {
         const float v = row[i], step = row[i + 1] - v;
-        for (int k = 0; k < o.cell; ++k) out[k] += v + o.weight[static_cast<std::size_t>(k)] * step;
+        for (int k = 0; k < o.cell; ++k) out[k] += v + o.weight[k] * step;
       }
     }
     std::uint8_t* out = &brightness_[index(0, y)];
     const std::uint8_t* grain = &grain_[index(0, y)];
     for (int x = 0; x < size_; ++x) {
       const float g = by_grain ? gain * static_cast<float>(grain[x]) : gain;
-      const float value = static_cast<float>(out[x]) * (1.0f + g * sum[static_cast<std::size_t>(x)]) + 0.5f;
+      const float value = static_cast<float>(out[x]) * (1.0f + g * sum[x]) + 0.5f;
       out[x] = static_cast<std::uint8_t>(std::min(255.0f, std::max(0.0f, value)));
     }
   }

@@ -169,7 +169,7 @@ Rough smoothed(const std::vector<Rough>& rough, double i) {
   const int n = static_cast<int>(rough.size()), centre = static_cast<int>(std::lround(i));
   Rough sum{Vec3::Zero(), 0, Vec2::Zero()};
   for (int k = centre - kBlurSteps; k <= centre + kBlurSteps; ++k) {
-    const Rough& r = rough[static_cast<std::size_t>(std::clamp(k, 0, n - 1))];
+    const Rough& r = rough[std::clamp(k, 0, n - 1)];
     sum.p += r.p;
     sum.yaw += r.yaw;
     sum.tilt += r.tilt;
@@ -202,7 +202,7 @@ QuinticSpline make_spline(const TrajectoryPlan& plan, double ground_m, std::uint
     for (int k = 0; k < 6; ++k) sway[k] = decay * sway[k] + kick * amplitude[k] * rng.gaussian();
     const double airborne = std::clamp((b.p.z() - ground_m - plan.start_height_m) / 1.5, 0.0, 1.0);
     const double gain = plan.sway * (plan.start_height_m > 1.0 ? 1.0 : airborne);
-    Vec6& out = control[static_cast<std::size_t>(i)];
+    Vec6& out = control[i];
     out << b.p, b.yaw, b.tilt.x() - std::atan2(lean_forward, kGravity), b.tilt.y() + std::atan2(lean_right, kGravity);
     out += gain * sway;
   }

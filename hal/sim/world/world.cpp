@@ -68,7 +68,7 @@ void World::light_ground(Canvas* ground) const {
     for (int i = 0; i < kLightCells; ++i) {
       const double x = i * step, y = j * step;
       const Vec3 normal = terrain_.normal(x, y);
-      grid[static_cast<std::size_t>(j * kLightCells + i)] = static_cast<float>(irradiance(normal, Vec3(x, y, 0)));
+      grid[j * kLightCells + i] = static_cast<float>(irradiance(normal, Vec3(x, y, 0)));
     }
   }
   std::vector<std::uint8_t> shadow(static_cast<std::size_t>(n) * static_cast<std::size_t>(n), 0);
@@ -123,7 +123,7 @@ void World::light_ground(Canvas* ground) const {
   for (int y = 0; y < n; ++y) {
     const int j = y / run;
     const float v = (static_cast<float>(y % run) + 0.5f) / static_cast<float>(run);
-    const auto row = [&](int k) { return &grid[static_cast<std::size_t>((k % kLightCells) * kLightCells)]; };
+    const auto row = [&](int k) { return &grid[(k % kLightCells) * kLightCells]; };
     const float *r0 = row(j), *r1 = row(j + 1);
     const std::uint8_t* shaded = &shadow[static_cast<std::size_t>(y) * static_cast<std::size_t>(n)];
     for (int i = 0; i < kLightCells; ++i) {
@@ -131,7 +131,7 @@ void World::light_ground(Canvas* ground) const {
       const float a = r0[i] + v * (r1[i] - r0[i]), b = r0[i1] + v * (r1[i1] - r0[i1]);
       for (int k = 0; k < run; ++k) {
         const float value = a + (static_cast<float>(k) + 0.5f) / static_cast<float>(run) * (b - a);
-        light[static_cast<std::size_t>(i * run + k)] = shaded[i * run + k] != 0 ? value * dark : value;
+        light[i * run + k] = shaded[i * run + k] != 0 ? value * dark : value;
       }
     }
     ground->scale_row(y, light);
@@ -139,7 +139,7 @@ void World::light_ground(Canvas* ground) const {
 }
 
 MoverState World::mover_at(int i, double t_s) const {
-  const Mover& m = movers_[static_cast<std::size_t>(i)];
+  const Mover& m = movers_[i];
   MoverState out;
   Vec2 p = m.start_m, v = Vec2::Zero();
   double heading = m.heading;
@@ -172,7 +172,7 @@ MoverState World::mover_at(int i, double t_s) const {
 }
 
 void World::index_shades() {
-  shades_of_cell_.resize(static_cast<std::size_t>(kShadeCells * kShadeCells));
+  shades_of_cell_.resize(kShadeCells * kShadeCells);
   constexpr double cell = kWorldM / kShadeCells;
   for (std::size_t n = 0; n < shades_.size(); ++n) {
     const Shade& s = shades_[n];
@@ -185,7 +185,7 @@ void World::index_shades() {
     for (int j = at(s.y - ry); j <= j1; ++j) {
       for (int i = at(s.x - rx); i <= i1; ++i) {
         const int k = (j & (kShadeCells - 1)) * kShadeCells + (i & (kShadeCells - 1));
-        shades_of_cell_[static_cast<std::size_t>(k)].push_back(static_cast<std::uint32_t>(n));
+        shades_of_cell_[k].push_back(static_cast<std::uint32_t>(n));
       }
     }
   }
@@ -197,7 +197,7 @@ double World::surface_height(double x, double y) const {
   const auto cell = [](double v) {
     return static_cast<int>(std::floor(v * (kShadeCells / kWorldM))) & (kShadeCells - 1);
   };
-  for (const std::uint32_t n : shades_of_cell_[static_cast<std::size_t>(cell(y) * kShadeCells + cell(x))]) {
+  for (const std::uint32_t n : shades_of_cell_[cell(y) * kShadeCells + cell(x)]) {
     const Shade& s = shades_[n];
     const double px = wrapped(x - s.x), py = wrapped(y - s.y);
     const double along = std::abs(px * s.dx + py * s.dy), across = std::abs(-px * s.dy + py * s.dx);

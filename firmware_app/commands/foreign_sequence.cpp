@@ -1,0 +1,87 @@
+#include "firmware_app/commands/foreign_sequence.h"
+
+#include <csignal>
+#include <cstring>
+#include <filesystem>
+#include <fmt/format.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+#include <vector>
+
+#include "hal/machine/installed_data.h"
+
+namespace godwit::app {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr int kLookMs = 20;
+constexpr int kNoInterpreter = 127;
+
+bool is_kitti(const fs::path& folder) {
+  std::error_code ignored;
+  return fs::is_directory(folder / "image_0", ignored) && fs::is_regular_file(folder / "times.txt", ignored) &&
+         !fs::exists(folder / "rgb.txt", ignored);
+}
+
+/// Runs a tool of ours to its end. Error: it could not be run, or ended with another code than 0.
+rt::Result<void> run_tool(const std::string& name, const std::vector<std::string>& arguments,
+                          const std::atomic<bool>& stop) {
+  const std::string program = hal::installed_data("tools") + "/" + name;
+  std::vector<std::string> words{program};
+  words.insert(words.end(), arguments.begin(), arguments.end());
+  std::vector<char*> argv;
+  for (std::string& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  // What this thread keeps from itself must not be kept from it.
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  sigset_t none;
+  sigemptyset(&none);
+  posix_spawnattr_setsigmask(&attributes, &none);
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+  pid_t child = 0;
+  const int error = posix_spawn(&child, program.c_str(), nullptr, &attributes, argv.data(), environ);
+  posix_spawnattr_destroy(&attributes);
+  if (error != 0) return rt::Error{program + ": cannot be run: " + std::strerror(error)};
+  int status = 0;
+  while (waitpid(child, &status, WNOHANG) == 0) {
+    if (stop.load(std::memory_order_relaxed)) kill(child, SIGTERM);
+    usleep(kLookMs * 1000);
+  }
+  if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted"};
+  if (WIFEXITED(status) && WEXITSTATUS(status) == 0) return {};
+  if (WIFEXITED(status) && WEXITSTATUS(status) == kNoInterpreter) return rt::Error{program + ": needs python3"};
+  return rt::Error{name + " could not make a sequence of it; the reason stands above"};
+}
+
+}  // namespace
+
+rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCamera& camera, const std::string& out,
+                                    const std::atomic<bool>& stop) {
+  std::error_code error;
+  const bool video = fs::is_regular_file(sequence, error);
+  const bool told = !camera.calibration.empty() || camera.fov_deg > 0;
+  if (told && !video) return rt::Error{"--camera, --fov: are for a video; a sequence has its calibration beside it"};
+  if (!video && !is_kitti(sequence)) return sequence;
+  if (video && !told)
+    return rt::Error{sequence +
+                     ": a video does not say how its camera sees: add --camera camera.yaml (docs/formats.md), " +
+                     "or for a first look --fov DEG"};
+  if (!camera.calibration.empty() && camera.fov_deg > 0) return rt::Error{"--camera and --fov: one of them"};
+  const fs::path made = fs::path(out) / "sequence";
+  // Only what an earlier run made there is taken away.
+  if (fs::exists(made, error) && !fs::exists(made / "rgb.txt", error) && !fs::is_empty(made, error))
+    return rt::Error{made.string() + ": is in the way, and no sequence"};
+  fs::remove_all(made, error);
+  fs::create_directories(out, error);
+  if (error) return rt::Error{out + ": cannot make the folder: " + error.message()};
+  fmt::print(stderr, "{}: becomes a sequence, {}\n", sequence, made.string());
+  std::vector<std::string> words{sequence, made.string()};
+  if (!camera.calibration.empty()) words.insert(words.end(), {"--camera", camera.calibration});
+  if (camera.fov_deg > 0) words.insert(words.end(), {"--fov", fmt::format("{}", camera.fov_deg)});
+  if (auto ran = run_tool(video ? "from_video" : "from_kitti", words, stop); !ran) return ran.error();
+  return made.string();
+}
+
+}  // namespace godwit::app
