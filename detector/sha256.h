@@ -33,8 +33,8 @@ class Sha256 {
 /// The largest YOLOv5 has 350 MB, ours 8. Reading more would keep the answer to a signal away for seconds.
 constexpr std::int64_t kMostNetworkBytes = 512 << 20;
 
-/// Of a plain file; a pipe, a device or a larger file is refused, not waited for. Allocates; not for the frame path. Error: file,
-/// reason.
+/// Of a plain file; a pipe, a device or a larger file is refused, not waited for. Allocates; not for the frame path.
+/// Error: file, reason.
 rt::Result<std::string> sha256_of_file(const std::string& path);
 
 }  // namespace godwit::detector

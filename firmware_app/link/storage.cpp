@@ -40,8 +40,8 @@ rt::Result<StoredState> Storage::load(const ParameterValues& defaults) {
     const std::string lock = folder_ + "/lock";
     lock_fd_ = open(lock.c_str(), O_RDWR | O_CREAT | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
     if (lock_fd_ < 0) {
-      // A disc that is read-only or full grounds nobody, nor does what somebody planted in the lock's place. Which reset counters were used before cannot be kept: it
-      // begins where the clock says, as likely as not elsewhere.
+      // A disc that is read-only or full grounds nobody, nor does what somebody planted in the lock's place. Which
+      // reset counters were used before cannot be kept: it begins where the clock says, as likely as not elsewhere.
       const std::string why = error_text(lock);
       StoredState state = peek(defaults);
       state.warnings.push_back(why + "; nothing can be kept, and whether another godwit uses this folder is not known");

@@ -24,8 +24,8 @@ class LineLog {
   LineLog(const LineLog&) = delete;
   LineLog& operator=(const LineLog&) = delete;
 
-  /// Any thread that may allocate and lock. `line` gets its newline here. Returns at once; where another thread stands in
-  /// the middle of this log, after 0.1 s and without the line.
+  /// Any thread that may allocate and lock. `line` gets its newline here. Returns at once; where another thread stands
+  /// in the middle of this log, after 0.1 s and without the line.
   void put(std::string line) noexcept;
   /// Waits until all lines are written, at most so long. False: some are not.
   bool flush(rt::TimeNs patience_ns) noexcept;
