@@ -18,6 +18,7 @@ from pose_consistency import CHI2_95, matrix_of_triangle, rotation, rotation_vec
 MOVING_M_S = 0.05  # truth faster than this moves
 BEGIN_S = 2.0      # the first so many seconds of metric poses are judged by themselves
 STILL_S = 2.0      # a rest at the end of at least this length is judged
+STANDS_M_S = 0.005  # truth slower than this stands: what it does then is its own wandering
 
 
 @dataclasses.dataclass
@@ -97,9 +98,9 @@ def rms(x):
     return float(np.sqrt((x ** 2).sum(-1).mean())) if len(x) else float('nan')
 
 
-def rest_at_end(t, speed):
+def rest_at_end(t, speed, limit=MOVING_M_S):
     """Poses of the last stretch in which truth stands; none where it is shorter than STILL_S."""
-    moving = np.flatnonzero(speed > MOVING_M_S)
+    moving = np.flatnonzero(speed > limit)
     first = moving[-1] + 1 if len(moving) else 0
     still = np.arange(first, len(t))
     return still if len(still) and t[-1] - t[still[0]] >= STILL_S else still[:0]
@@ -136,6 +137,13 @@ def summary(judged, estimate, truth, t_begin):
         place, turned = judged.place[still], judged.attitude[still]
         out['still_m'] = rms(place - place.mean(0))
         out['still_deg'] = float(np.degrees(rms(turned - turned.mean(0))))
+    stands = rest_at_end(t, speed, STANDS_M_S)
+    if len(stands):
+        # By themselves: a truth that comes from sensors wanders, too.
+        for name, places, rotations in (('told', p, R), ('truth', p_truth, R_truth)):
+            turned = np.array([rotation_vector(rotations[stands[0]].T @ a) for a in rotations[stands]])
+            out[f'stands_{name}_m'] = rms(places[stands] - places[stands].mean(0))
+            out[f'stands_{name}_deg'] = float(np.degrees(rms(turned - turned.mean(0))))
     return out
 
 

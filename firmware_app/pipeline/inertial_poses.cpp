@@ -18,6 +18,19 @@ constexpr double kMostForce = 1000;  // [m/s^2]
 constexpr std::array<vo::ScaleSource, hal::kAidKinds> kSources = {vo::ScaleSource::kRange, vo::ScaleSource::kBarometer,
                                                                   vo::ScaleSource::kSatellites};
 
+/// The same as who checks.
+constexpr std::array<vo::CheckedBy, hal::kAidKinds> kCheckedBy = {vo::CheckedBy::kRange, vo::CheckedBy::kBarometer,
+                                                                  vo::CheckedBy::kSatellites};
+
+/// What is known of the scale beside the inertial sensor is mostly this one's.
+std::size_t most_heard(const vo::ScaleState& aided) {
+  std::size_t most = 0;
+  for (std::size_t i = 1; i < kSources.size(); ++i) {
+    if (aided.share(kSources[i]) > aided.share(kSources[most])) most = i;
+  }
+  return most;
+}
+
 /// All of vision's numbers that are used are numbers.
 bool finite(const vo::FrameResult& r) {
   return r.T_world_cam.R.allFinite() && r.T_world_cam.t.allFinite() && r.covariance.allFinite() &&
@@ -128,6 +141,8 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.moved_by = result.moved_by;
   seen.turned_by = result.turned_by;
   const vo::MetricPose metric = odometry_->frame(seen);
+  if (metric.valid && odometry_->aids_off2() >= 0)
+    navigation_->contradicted(kCheckedBy[most_heard(odometry_->aided_scale())], odometry_->aids_off2(), t_ns);
   vo::MetricMoment moment;
   if (metric.valid) moment = moment_of(*odometry_, metric);
   const vo::NavigationPose pose = navigation_->frame(t_ns, metric.valid ? &moment : nullptr);

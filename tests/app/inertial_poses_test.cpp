@@ -232,6 +232,33 @@ TEST(InertialPoses, WhereALostCameraShouldBeIsAskedForOnlyThen) {
   EXPECT_LT((prior.T_cam_map.inverse().t - seen.sight.camera).norm(), 0.2);
 }
 
+TEST(InertialPoses, SatellitesThatContradictMakeThePoseBeTrustedLessAsLongAsTheyDo) {
+  for (const bool lie : {false, true}) {
+    Flown flown(41);
+    flown.flight_.amplitude_ = 6;  // ways beside which it does not matter where the antenna sits
+    double least = 1, last = 0;
+    for (int k = 0; k < 700; ++k) {
+      hal::AidSample s;
+      s.kind = hal::AidKind::kSatellites;
+      s.t_ns = k * rt::kNsPerSecond / 20 - rt::kNsPerMs;
+      // Until the 20th second they say that all ways are 1.4 times as long; from then on nothing.
+      Eigen::Map<Vec3>(s.value_m.data()) = (lie ? 1.4 : 1) * flown.camera(k);
+      s.sigma_m = 0.01;
+      if (k < 400) flown.poses_.take(s);
+      const FrameRecord record = flown.frame(k);
+      if (!record.metric) continue;
+      if (k > 100 && k < 400) least = std::min(least, record.trust);
+      last = record.trust;
+    }
+    if (lie) {
+      EXPECT_LT(least, 0.5);
+    } else {
+      EXPECT_GT(least, 0.9);
+    }
+    EXPECT_GT(last, 0.9) << "nobody says so any more";
+  }
+}
+
 TEST(InertialPoses, NoNanLeavesWhateverComesIn) {
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const std::function<void(hal::ImuSample*)> samples[] = {

@@ -143,9 +143,14 @@ class Metric(unittest.TestCase):
         r = self.judge()
         self.assertAlmostEqual(r['still_m'], np.sqrt((PLACE_SIGMA ** 2).sum()), delta=1e-3)
         self.assertAlmostEqual(r['still_deg'], np.degrees(np.sqrt((TURN_SIGMA ** 2).sum())), delta=0.05)
+        # By itself, the truth here stands and what is told has its noise.
+        self.assertAlmostEqual(r['stands_told_deg'], r['still_deg'], delta=0.1)
+        self.assertLess(r['stands_truth_deg'], 1e-3)
+        self.assertLess(r['stands_truth_m'], 1e-4)
         self.write_truth()
         self.write_run()
         self.assertNotIn('still_m', self.judge())
+        self.assertNotIn('stands_told_m', self.judge())
 
     def test_a_run_without_metric_poses_says_so(self):
         self.write_truth()

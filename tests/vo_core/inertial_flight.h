@@ -27,11 +27,19 @@ class Flight {
     R_map_world_ = so3_exp(axis.normalized() * std::atan2(axis.norm(), kUpInMap.z()));
   }
   Mat3 R(double t) const {
+    t = moved_until(t);
     const double a = std::min(1.0, amplitude_);
     return so3_exp(a * Vec3(0.3 * std::sin(1.7 * t), 0.4 * std::sin(1.1 * t + 1), 0.6 * std::sin(0.7 * t)));
   }
   Vec3 p(double t) const {
+    t = moved_until(t);
     return amplitude_ * Vec3(0.4 * std::sin(1.9 * t), 0.3 * std::cos(2.3 * t), 0.2 * std::sin(1.5 * t + 2));
+  }
+  /// After stops_at_ the motion comes to rest within a second.
+  double moved_until(double t) const {
+    if (t <= stops_at_) return t;
+    const double x = std::min(t - stops_at_, 1.0);
+    return stops_at_ + x - x * x * x + x * x * x * x / 2;
   }
   Vec3 v(double t) const { return (p(t + kStep) - p(t - kStep)) / (2 * kStep); }
   Vec3 a(double t) const { return (p(t + kStep) - 2 * p(t) + p(t - kStep)) / (kStep * kStep); }
@@ -80,6 +88,7 @@ class Flight {
 
   static constexpr double kStep = 1e-4;
   double amplitude_, scale_ = 2.5;
+  double stops_at_ = 1e9;  ///< [s]
   ImuBias bias_;
   CameraMounting mounting_ = slanted_mounting();
   InertialModel model_ = quiet();

@@ -10,72 +10,13 @@
 
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
-#include "tests/vo_core/inertial_flight.h"
+#include "tests/vo_core/inertial_flown.h"
 
 namespace godwit::vo {
 namespace inertial_odometry_test {
 
 using test::Flight;
-
-/// Flies at 20 pictures and 200 readings a second, and remembers what was told.
-class Flown {
- public:
-  /// as_modelled: nothing is told on top of the smoother's own covariance, as this flight errs in no other way.
-  explicit Flown(Flight* flight, bool as_modelled = false) : flight_(*flight) {
-    InertialOdometryOptions options;
-    options.model = flight->model_;
-    if (as_modelled) options.told_place_sigma_m = options.told_scale_sigma = options.told_speed_sigma_m_s = 0;
-    odometry_ = std::make_unique<InertialOdometry>(flight->mounting_, options);
-  }
-
-  /// The readings of the 50 ms before t.
-  void feel(double t) {
-    for (int i = 1; i <= 10; ++i) {
-      if (silent_) continue;
-      ImuReading r = flight_.reading(t - 0.05 + i / 200.0);
-      r.gyro_rad_s += flight_.model_.imu.gyro * std::sqrt(200.0) * flight_.random();
-      r.accel_m_s2 += flight_.model_.imu.accel * std::sqrt(200.0) * flight_.random();
-      if (poison_) r.accel_m_s2.y() = std::numeric_limits<double>::quiet_NaN();
-      odometry_->add(r);
-    }
-  }
-  MetricPose frame(int k) {
-    const double t = k / 20.0;
-    feel(t);
-    const InertialNode seen = flight_.node(k, {});
-    VisualPose pose;
-    pose.t_ns = seen.t_ns;
-    pose.tracked = tracked_;
-    pose.map_id = map_id_;
-    pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
-    pose.covariance = 1e-9 * Mat6::Identity();
-    if (young_) stray(t, &pose);
-    return odometry_->frame(pose);
-  }
-  /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
-  /// which it says, and, less and less, for seconds after that, which it doesn't. That second part stays in what it
-  /// says of the whole map.
-  void stray(double t, VisualPose* pose) {
-    const double rate = 0.02 * std::exp(-t / 2.5);
-    strayed_ += rate * std::sqrt(0.05) * flight_.random();
-    pose->T_map_cam.R = so3_exp(strayed_) * pose->T_map_cam.R;
-    const double told = t < 1 ? 0.02 : 5e-4;
-    told_variance_ += told * told * 0.05;
-    pose->relative_age_ns = rt::kNsPerSecond / 2;
-    pose->relative_covariance.diagonal().head<3>().setConstant(1e-9);
-    pose->relative_covariance.diagonal().tail<3>().setConstant(0.5 * told * told);
-    pose->covariance.diagonal().tail<3>().setConstant(told_variance_);
-  }
-  /// The camera's true place.
-  Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
-
-  Flight& flight_;
-  std::unique_ptr<InertialOdometry> odometry_;
-  bool silent_ = false, poison_ = false, tracked_ = true, young_ = false;
-  Vec3 strayed_ = Vec3::Zero();
-  double told_variance_ = 1e-9;
-  std::uint32_t map_id_ = 1;
-};
+using test::Flown;
 
 TEST(InertialOdometry, BecomesMetricAndLevelAndItsCovarianceHolds) {
   double nees = 0, tilt = 0, speed2 = 0;
@@ -189,6 +130,53 @@ TEST(InertialOdometry, AtRestItWaitsAndSaysWhy) {
   }
 }
 
+TEST(InertialOdometry, PicturesStampedLateOrEarlyAreTakenForWhereTheyWereTaken) {
+  double speed2 = 0;
+  int told = 0;
+  for (unsigned seed = 321; seed < 329; ++seed) {
+    Flight f(1.0, seed);
+    Flown flown(&f, true);
+    flown.late_ns_ = (seed % 2 == 0 ? 20 : -20) * rt::kNsPerMs;
+    Mat3 turn = Mat3::Identity();
+    for (int k = 0; k < 240; ++k) {
+      const MetricPose pose = flown.frame(k);
+      if (k < 140) continue;
+      ASSERT_TRUE(pose.valid);
+      const double t = k / 20.0;
+      if (k == 140) {
+        const Mat3 D = pose.T_nav_cam.R * (f.R(t) * f.mounting_.R_body_cam).transpose();
+        turn = so3_exp(Vec3(0, 0, std::atan2(D(1, 0) - D(0, 1), D(0, 0) + D(1, 1))));
+      }
+      const Vec3 v = (flown.camera(t + 1e-4) - flown.camera(t - 1e-4)) / 2e-4;
+      speed2 += (turn * v - pose.velocity_m_s).squaredNorm() / 3;
+      ++told;
+    }
+    EXPECT_NEAR(flown.odometry_->smoother().newest().time_offset_s, -rt::to_seconds(flown.late_ns_), 1e-3);
+  }
+  EXPECT_LT(std::sqrt(speed2 / told), 0.012) << "the picture's, not that of 20 ms later";
+}
+
+TEST(InertialOdometry, WhatIsKnownOfTheMapIsHeldAtRest) {
+  Flight f(1.0, 311);
+  f.stops_at_ = 6;
+  Flown flown(&f, true);
+  const auto sigma = [&](int part) { return std::sqrt(flown.odometry_->smoother().covariance()(part, part)); };
+  for (int k = 0; k < 160; ++k) flown.frame(k);
+  ASSERT_TRUE(flown.odometry_->metric());
+  const InertialState stopped = flown.odometry_->smoother().newest();
+  const double scale = sigma(InertialState::kScale), up = sigma(InertialState::kUp);
+  double strayed = 0;
+  for (int k = 160; k < 160 + 20 * 120; ++k) {
+    ASSERT_TRUE(flown.frame(k).valid);
+    strayed = std::max(strayed, angle_between(flown.odometry_->smoother().newest().up, stopped.up));
+  }
+  EXPECT_LT(sigma(InertialState::kScale), 1.02 * scale) << "nothing is learned in two minutes, and nothing is lost";
+  EXPECT_LT(sigma(InertialState::kUp), 1.02 * up);
+  EXPECT_LT(strayed, 2 * up);
+  const double off = flown.odometry_->smoother().newest().log_scale - std::log(f.scale_);
+  EXPECT_LT(std::abs(off), 3 * sigma(InertialState::kScale));
+}
+
 TEST(InertialOdometry, NothingThatIsNoNumberLeavesIt) {
   Flight f(1.0, 5);
   Flown flown(&f);
@@ -292,61 +280,6 @@ TEST(InertialOdometry, TheGyroscopeTellsTheCamerasTurn) {
   const Mat3 R0 = f.R(3.90) * f.mounting_.R_body_cam, R1 = f.R(3.95) * f.mounting_.R_body_cam;
   EXPECT_LT(so3_log(turn.transpose() * R1.transpose() * R0).norm(), 1e-3);
   EXPECT_FALSE(flown.odometry_->camera_turn(3900 * rt::kNsPerMs, 4100 * rt::kNsPerMs, &turn)) << "not measured yet";
-}
-
-/// Satellites that know the camera's place to 0.2 mm, in lengths times `lie`, before frame k.
-void tell_place(const Flight& f, int k, double lie, InertialOdometry* odometry) {
-  const double t = k / 20.0;
-  AidReading r;
-  r.source = ScaleSource::kSatellites;
-  r.t_ns = static_cast<rt::TimeNs>(t * 1e9) - rt::kNsPerMs;
-  r.value_m = lie * (f.p(t) + f.R(t) * f.mounting_.t_body_cam_m);
-  r.sigma_m = 2e-4;
-  odometry->take(r);
-}
-
-TEST(InertialOdometry, AMotionThatShowsNoScaleIsMetricWithSatellitesBesideIt) {
-  for (const bool told : {false, true}) {
-    Flight f(0.02, 15);
-    f.bias_.accel.setZero();
-    InertialOdometryOptions options;
-    options.aids.arm_m = 0;
-    options.aids.depth_share = 2e-4;  // what this flight sees errs by less than a real one
-    Flown flown(&f);
-    options.model = f.model_;
-    flown.odometry_ = std::make_unique<InertialOdometry>(f.mounting_, options);
-    double scale = 0;
-    for (int k = 0; k < 120; ++k) {
-      if (told) tell_place(f, k, 1, flown.odometry_.get());
-      if (flown.frame(k).valid) scale = flown.odometry_->smoother().newest().scale();
-    }
-    EXPECT_EQ(flown.odometry_->metric(), told)
-        << flown.odometry_->refusal().text << " " << flown.odometry_->refusal().value << ", beside it "
-        << flown.odometry_->aided_scale().log_sigma();
-    if (told) {
-      const auto& C = flown.odometry_->smoother().covariance();
-      const double sigma = std::sqrt(C(InertialState::kScale, InertialState::kScale));
-      EXPECT_LT(sigma, 0.08);
-      EXPECT_LT(std::abs(std::log(scale / f.scale_)), 3 * sigma);
-    }
-  }
-}
-
-TEST(InertialOdometry, SatellitesThatLieAboutLengthsAreLeftOut) {
-  Flight f(1.0, 16);
-  Flown flown(&f);
-  InertialOdometryOptions options;
-  options.model = f.model_;
-  options.aids.arm_m = 0;
-  flown.odometry_ = std::make_unique<InertialOdometry>(f.mounting_, options);
-  for (int k = 0; k < 80; ++k) flown.frame(k);
-  ASSERT_TRUE(flown.odometry_->metric());
-  for (int k = 80; k < 240; ++k) {
-    tell_place(f, k, 1.5, flown.odometry_.get());
-    flown.frame(k);
-  }
-  EXPECT_GT(flown.odometry_->aids_contradicted(), 20u);
-  EXPECT_NEAR(flown.odometry_->smoother().newest().scale() / f.scale_, 1, 0.03);
 }
 
 TEST(InertialOdometry, DoesNotAllocate) {

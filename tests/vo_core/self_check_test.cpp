@@ -56,6 +56,20 @@ TEST(SelfCheck, DisagreementLowersTrustAndThenEndsWithAReason) {
   EXPECT_GT(check.trust(), 0.9) << "until it fits";
 }
 
+TEST(SelfCheck, WhoMayOnlyDoubtEndsNothingAndIsForgotten) {
+  SelfCheck check;
+  rt::TimeNs t = rt::kNsPerSecond;
+  for (int i = 0; i < 60; ++i, t += kStep) check.doubt(CheckedBy::kRange, 40, 1, t);
+  EXPECT_NEAR(check.trust(), 0.1, 1e-9);
+  EXPECT_STREQ(check.reason(), "") << "nothing was given up";
+  check.forget_older(CheckedBy::kRange, t - 5 * kStep);
+  EXPECT_NEAR(check.trust(), 0.1, 1e-9) << "it was heard since";
+  check.forget_older(CheckedBy::kBarometer, t);
+  EXPECT_NEAR(check.trust(), 0.1, 1e-9) << "another one";
+  check.forget_older(CheckedBy::kRange, t);
+  EXPECT_EQ(check.trust(), 1);
+}
+
 TEST(SelfCheck, OneOutlierEndsNothing) {
   SelfCheck check;
   rt::TimeNs t = rt::kNsPerSecond;

@@ -50,7 +50,7 @@ Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const Came
   const Mat3 R_cam = x.R_map_body * m.R_body_cam * so3_exp(x.mounting);
   const Vec3 turned = so3_log(R_cam * sight.R_map_cam.transpose());
   const Vec3 omega = sight.gyro_rad_s - x.bias.gyro;
-  const double tau = x.time_offset_s, per_s = 1.0 / x.scale();
+  const double tau = x.time_offset_s - sight.shift_s, per_s = 1.0 / x.scale();
   const Vec3 lever = omega.cross(m.t_body_cam_m);
   const Vec3 speed = (x.velocity + x.R_map_body * lever) * per_s;  // of the camera [map units/s]
   Vec6 r;
@@ -163,9 +163,9 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   const double position_rate = std::sqrt(std::max(at_i.position_rate, at_j.position_rate));
   const double moved = std::hypot((at_j.camera - at_i.camera).norm() / at_j.depth,
                                   (at_j.R_map_cam - at_i.R_map_cam).norm() / std::sqrt(2.0));
-  const double moving = std::min(1.0, moved / model.still);
-  weigh(15, 1, root * std::hypot(model.scale_walk, moving * model.scale_stray * position_rate / at_j.depth));
-  weigh(16, 2, root * std::hypot(model.up_walk, moving * model.up_stray * rotation_rate));
+  const double moving = std::clamp(moved / model.still, model.at_rest, 1.0);
+  weigh(15, 1, root * moving * std::hypot(model.scale_walk, model.scale_stray * position_rate / at_j.depth));
+  weigh(16, 2, root * moving * std::hypot(model.up_walk, model.up_stray * rotation_rate));
   weigh(18, 3, model.mounting_walk * root);
   weigh(21, 1, model.time_walk * root);
   weigh(22, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));

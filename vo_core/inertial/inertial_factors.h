@@ -58,6 +58,9 @@ struct VisionSight {
   Mat3 R_map_cam = Mat3::Identity();
   Vec3 camera = Vec3::Zero();  ///< [map units]
   Vec3 gyro_rad_s = Vec3::Zero();
+  /// The moment is so much later than the picture's stamp: the time offset as it was known then. A turn over what is
+  /// left of it is a straight line; over 20 ms of a hand's motion that would be wrong by 2 mrad.
+  double shift_s = 0;
   double depth = 1;         ///< of the scene [map units]: lengths are seen with an error in proportion
   double own_position = 0;  ///< what this picture's own matches leave open, one sigma an axis [map units]
   /// How fast vision strays, as the tracker tells it of the pose relative to its reference keyframe: variance an axis
@@ -89,11 +92,15 @@ struct InertialModel {
   double rotation_sigma = 1e-3;  ///< [rad]
   double position_sigma = 1e-3;  ///< [depths]
   /// Where vision strays, the map's vertical and scale do: by so much of its rotation [rad], and by so many parts for
-  /// each depth it strays by. Only while the camera moves: by less than `still` depths or radians between two moments,
-  /// by less. All three chosen on a take-off (scenario gnss-loss), whose NEES is 0.7 with them and 45 without.
+  /// each depth it strays by. All three chosen on a take-off (scenario gnss-loss), whose NEES is 0.7 with them and 45
+  /// without.
   double up_stray = 1, scale_stray = 2, still = 0.01;
-  double scale_walk = 3e-4;     ///< of the map's scale [1/sqrt(s)]
-  double up_walk = 1e-4;        ///< of the map's vertical [rad/sqrt(s)]
+  double scale_walk = 3e-4;  ///< of the map's scale [1/sqrt(s)]
+  double up_walk = 1e-4;     ///< of the map's vertical [rad/sqrt(s)]
+  /// A map that grows strays, one that is looked at from the same place does not: by less than `still` depths or
+  /// radians between two moments, all of the above is less in proportion, down to this share, since the mapper may
+  /// still correct it. So scale and vertical are held at rest and in a hover, without anybody deciding that it is one.
+  double at_rest = 0.05;
   double mounting_walk = 1e-6;  ///< [rad/sqrt(s)]
   double time_walk = 1e-7;      ///< [s/sqrt(s)]
 };

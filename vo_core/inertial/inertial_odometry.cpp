@@ -50,8 +50,14 @@ bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat
   return true;
 }
 
-VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
+rt::TimeNs InertialOdometry::moment_of(const VisualPose& pose) const {
+  const double offset_s = metric_ ? smoother_.newest().time_offset_s : prior_.time_offset_s;
+  return pose.t_ns + static_cast<rt::TimeNs>(offset_s * 1e9);
+}
+
+VisionSight InertialOdometry::sight_of(const VisualPose& pose, rt::TimeNs t_ns) const {
   VisionSight sight;
+  sight.shift_s = rt::to_seconds(t_ns - pose.t_ns);
   sight.R_map_cam = pose.T_map_cam.R;
   sight.camera = pose.T_map_cam.t;
   sight.depth = std::max(1e-6, pose.median_depth);
@@ -62,7 +68,7 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose) const {
   sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
   // The rate over 10 ms around the frame.
   Preintegration around;
-  buffer_.integrate(pose.t_ns - 5 * rt::kNsPerMs, pose.t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
+  buffer_.integrate(t_ns - 5 * rt::kNsPerMs, t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
   if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
   return sight;
 }
@@ -99,6 +105,7 @@ void InertialOdometry::hear_aids(const VisualPose& pose) {
     p.up_sigma = attempt_up_sigma_;
   }
   aids_.pose(p);
+  look_who_speaks(pose.t_ns);
 }
 
 ScaleHint InertialOdometry::hint() {
@@ -106,9 +113,17 @@ ScaleHint InertialOdometry::hint() {
   if (!told.known()) return {};
   ScaleHint out{std::log(told.scale()), told.log_sigma()};
   if (!metric_) return out;
-  const double off = out.log_scale - smoother_.newest().log_scale;
-  const double variance = out.sigma * out.sigma + smoother_.covariance()(S::kScale, S::kScale);
-  if (off * off <= options_.aid_gate * options_.aid_gate * variance) return out;
+  // The window's own opinion: what it took from them last time taken out again. Compared with what they had pulled it
+  // to, they would never be wrong.
+  const double all = 1 / smoother_.covariance()(S::kScale, S::kScale);
+  const double theirs = counted_.sigma > 0 ? 1 / (counted_.sigma * counted_.sigma) : 0;
+  const double own = all - theirs;
+  if (!(own > 1e-3 * all)) return out;  // it has none
+  const double own_log_scale = (all * smoother_.newest().log_scale - theirs * counted_.log_scale) / own;
+  const double off = out.log_scale - own_log_scale;
+  const double off2 = off * off / (out.sigma * out.sigma + 1 / own);
+  aids_off2_ = aids_speak_ ? off2 : -1;
+  if (off2 <= options_.aid_gate * options_.aid_gate) return out;
   ++aids_contradicted_;
   return {};
 }
@@ -137,8 +152,8 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
   smoother_.clear();
   map_id_ = pose.map_id;
   InertialNode node;
-  node.t_ns = pose.t_ns;
-  node.sight = sight_of(pose);
+  node.t_ns = measured_moment_of(pose);
+  node.sight = sight_of(pose, node.t_ns);
   smoother_.add(node);
   smoother_.state(0).bias = prior_.bias;
   smoother_.state(0).mounting = prior_.mounting;
@@ -147,16 +162,16 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
 
 bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   const rt::TimeNs last = smoother_.node(smoother_.size() - 1).t_ns;
-  if (pose.t_ns - last < after_ns) return false;
   InertialNode node;
-  node.t_ns = pose.t_ns;
-  const rt::TimeNs missing_ns = measured_since(pose.t_ns, &node.since_last);
+  node.t_ns = measured_moment_of(pose);
+  if (node.t_ns - last < after_ns) return false;
+  const rt::TimeNs missing_ns = measured_since(node.t_ns, &node.since_last);
   if (missing_ns > options_.max_missing_ns || node.since_last.dt_s() <= 0) {
     refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
     begin_window(pose);
     return false;
   }
-  node.sight = sight_of(pose);
+  node.sight = sight_of(pose, node.t_ns);
   while (metric_ && smoother_.size() >= options_.window) smoother_.drop_oldest();
   smoother_.add(node);
   return true;
@@ -222,7 +237,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   first.time_offset_s = prior_.time_offset_s;
   for (int i = 1; i < n; ++i) smoother_.add(window[i]);
   smoother_.set_prior(prior_);
-  smoother_.hint_scale(others.log_scale, others.sigma);
+  count_on(others);
   if (!convincing(smoother_.solve(6))) return;
   metric_ = true;
   ++begun_;
@@ -270,6 +285,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     return {};
   }
   if (pose.map_moved) {
+    before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
     const Vec3 pivot = smoother_.newest().camera;
     smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
     if (metric_) {
@@ -278,12 +294,16 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
       last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
     }
   }
-  const bool added = add_node(pose, metric_ ? options_.node_ns : options_.begin_node_ns);
+  // Not where the sensor is silent: then the picture before is not measured, either.
+  const rt::TimeNs reach_ns = buffer_.newest_ns() + options_.unmeasured_ns;
+  const bool early = moment_of(pose) > reach_ns && pose.t_ns <= reach_ns && before_.map_id == pose.map_id;
+  const bool added = add_node(early ? before_ : pose, metric_ ? options_.node_ns : options_.begin_node_ns);
+  before_ = pose;
+  before_.points = {};
   if (added && !metric_) {
     try_to_begin(pose);
   } else if (added) {
-    const ScaleHint others = hint();
-    smoother_.hint_scale(others.log_scale, others.sigma);
+    count_on(hint());
     const auto report = smoother_.solve(2);
     const double sigma = std::sqrt(smoother_.covariance()(S::kScale, S::kScale));
     if (!report.ok || !(sigma < options_.lost_scale_sigma)) {
@@ -339,8 +359,9 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   // Velocity of the newest moment, carried on to this frame.
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
   Preintegration d(x.bias);
-  buffer_.integrate(t_node, pose.t_ns, options_.model.imu, &d);
-  const Vec3 omega = sight_of(pose).gyro_rad_s - x.bias.gyro;
+  const rt::TimeNs t_ns = std::max(t_node, moment_of(pose));
+  buffer_.integrate(t_node, t_ns, options_.model.imu, &d);
+  const Vec3 omega = sight_of(pose, t_ns).gyro_rad_s - x.bias.gyro;
   const Vec3 body = x.velocity - options_.model.gravity_m_s2 * d.dt_s() * x.up + x.R_map_body * d.dv(x.bias);
   const Mat3 R_map_body = x.R_map_body * d.dR(x.bias.gyro);
   out.velocity_m_s = R_nav_map_ * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));

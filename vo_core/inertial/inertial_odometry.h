@@ -3,6 +3,7 @@
 // gravity.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 
@@ -48,6 +49,9 @@ struct InertialOdometryOptions {
   /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
   double lost_scale_sigma = 0.15;
   double most_sigmas = 6;  ///< the same for biases and mounting, in sigmas of what they were taken to be at first
+  /// Where readings do not reach a picture's moment by more than this, since it was stamped early, the picture before
+  /// it is taken instead.
+  rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   /// Vision's error relative to a keyframe is taken for a walk since then; one that is older counts as so old, since
   /// the tracker's keyframes are about this far apart and it does not stray while it sees nothing new.
@@ -103,6 +107,9 @@ class InertialOdometry {
   const Refusal& refusal() const { return refusal_; }
   const InertialSmoother& smoother() const { return smoother_; }
   const ScaleState& aided_scale() const { return aids_.state(); }
+  /// What they say of the scale against what the window knows without them: squared, in sigmas, one degree of freedom.
+  /// Below 0: nothing was compared with the last picture.
+  double aids_off2() const { return aids_off2_; }
   /// Pictures with which others contradicted the scale that is held for true.
   std::uint64_t aids_contradicted() const { return aids_contradicted_; }
   std::uint64_t refused_readings() const { return buffer_.refused(); }
@@ -115,6 +122,20 @@ class InertialOdometry {
   void hear_aids(const VisualPose& pose);
   /// What they say of the scale now, as far as it may be believed.
   ScaleHint hint();
+  /// Who fell silent contradicts nobody any more, though what he said is still known.
+  void look_who_speaks(rt::TimeNs t_ns) {
+    std::uint64_t used = 0;
+    for (std::size_t i = 0; i < kScaleSources; ++i)
+      used += aids_.state().count(static_cast<ScaleSource>(i), ScaleVerdict::kUsed);
+    if (used != aids_used_) t_aids_used_ns_ = t_ns;
+    aids_used_ = used;
+    aids_speak_ = used > 0 && t_ns - t_aids_used_ns_ < 2 * rt::kNsPerSecond;
+    aids_off2_ = -1;
+  }
+  void count_on(const ScaleHint& others) {
+    counted_ = others;
+    smoother_.hint_scale(others.log_scale, others.sigma);
+  }
   void begin_window(const VisualPose& pose);
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
@@ -127,7 +148,12 @@ class InertialOdometry {
   /// Covariance of the left twist of T_cam_map without what was wrong at the anchor already: that is in the frame's
   /// origin and heading.
   Mat6 grown_since_anchor(const VisualPose& pose) const;
-  VisionSight sight_of(const VisualPose& pose) const;
+  VisionSight sight_of(const VisualPose& pose, rt::TimeNs t_ns) const;
+  /// When that picture was taken on the sensor's clock, and the same as far as readings reach.
+  rt::TimeNs moment_of(const VisualPose& pose) const;
+  rt::TimeNs measured_moment_of(const VisualPose& pose) const {
+    return std::min(moment_of(pose), std::max(buffer_.newest_ns(), pose.t_ns));
+  }
 
   const InertialOdometryOptions options_;
   InertialPrior prior_;
@@ -135,6 +161,11 @@ class InertialOdometry {
   InertialSmoother smoother_;
   ScaleAids aids_;
   std::uint64_t aids_contradicted_ = 0;
+  double aids_off2_ = -1;
+  std::uint64_t aids_used_ = 0;  ///< readings of all of them
+  rt::TimeNs t_aids_used_ns_ = 0;
+  bool aids_speak_ = false;
+  ScaleHint counted_;  ///< what the window's last solution took from them
   // The vertical of the last attempt to begin, if that was sure of it; else zero.
   Vec3 attempt_up_ = Vec3::Zero();
   double attempt_up_sigma_ = 0;
@@ -160,6 +191,7 @@ class InertialOdometry {
   SE3 last_nav_;  ///< the last pose told: where a new map is joined on
   bool have_nav_ = false;
   bool told_ = false;  ///< last_map_ is of the present window
+  VisualPose before_;  ///< the last picture's, corrections of the map taken in; without points
   Vec3 last_camera_ = Vec3::Zero(), last_seen_camera_ = Vec3::Zero();
   double way_ = 0;  ///< flown since the anchor [map units]
 };

@@ -261,8 +261,17 @@ void NavigationFrame::check(const NavigationPose& pose, rt::TimeNs t_ns) {
   t_check_ns_ = t_checked_ns_ = t_ns;
 }
 
+void NavigationFrame::contradicted(CheckedBy by, double squared, rt::TimeNs t_ns) {
+  if (t_contradicted_ns_ != 0 && t_ns - t_contradicted_ns_ < options_.check_ns) return;
+  t_contradicted_ns_ = t_ns;
+  self_check_.doubt(by, squared, 1, t_ns);
+}
+
 NavigationPose NavigationFrame::frame(rt::TimeNs t_ns, const MetricMoment* seen) {
   go_on_to(t_ns);
+  // Whoever is found lying is not heard any more, and an opinion that nobody repeats is none.
+  for (const CheckedBy by : {CheckedBy::kBarometer, CheckedBy::kRange, CheckedBy::kSatellites})
+    self_check_.forget_older(by, t_ns - options_.self_check.memory_ns);
   if (seen == nullptr || !usable(*seen)) {
     last_seen_ = false;
     return tell_coasted(t_ns);

@@ -89,6 +89,9 @@ class NavigationFrame {
   };
   /// False: nobody knows.
   bool expected(rt::TimeNs t_ns, Expected* out) const;
+  /// Somebody beside vision and inertial sensor knows lengths, too: by how much they are off from his, squared, in
+  /// sigmas, one degree of freedom. Counts once in check_ns, before that picture's frame(); lowers trust, ends nothing.
+  void contradicted(CheckedBy by, double squared, rt::TimeNs t_ns);
   /// The frame begins anew with the next moment that is seen. Static text.
   void break_frame(const char* why, double value, double limit);
 
@@ -127,6 +130,7 @@ class NavigationFrame {
   DeadReckoning checked_;
   Vec3 check_from_ = Vec3::Zero();
   rt::TimeNs t_check_ns_ = 0, t_checked_ns_ = 0;  ///< begun (0: not), and how far it is
+  rt::TimeNs t_contradicted_ns_ = 0;              ///< one was counted then
   const char* why_ = "not metric yet";
   double value_ = 0, limit_ = 0;
 };

@@ -14,10 +14,12 @@ void SelfCheck::reset() {
   ones_ = {};
 }
 
-bool SelfCheck::add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) {
-  constexpr const char* kReasons[] = {
-      "vision and inertial sensor disagree: innovation squared", "vision and barometer disagree: innovation squared",
-      "vision and rangefinder disagree: innovation squared", "vision and satellites disagree: innovation squared"};
+void SelfCheck::forget_older(CheckedBy by, rt::TimeNs t_ns) {
+  One& one = ones_[static_cast<std::size_t>(by)];
+  if (one.t_ns < t_ns) one = {};
+}
+
+SelfCheck::One& SelfCheck::remember(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) {
   One& one = ones_[static_cast<std::size_t>(by)];
   const double each = degrees > 0 && squared >= 0 ? std::min(squared / degrees, options_.most) : options_.most;
   const double dt = one.weight > 0 ? std::max(0.0, rt::to_seconds(t_ns - one.t_ns)) : 0;
@@ -25,6 +27,14 @@ bool SelfCheck::add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) 
   one.sum = keep * one.sum + each;
   one.weight = keep * one.weight + 1;
   one.t_ns = t_ns;
+  return one;
+}
+
+bool SelfCheck::add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) {
+  constexpr const char* kReasons[] = {
+      "vision and inertial sensor disagree: innovation squared", "vision and barometer disagree: innovation squared",
+      "vision and rangefinder disagree: innovation squared", "vision and satellites disagree: innovation squared"};
+  One& one = remember(by, squared, degrees, t_ns);
   if (!(mean(by) > options_.lost)) {
     one.t_beyond_ns = 0;
     return false;

@@ -35,6 +35,11 @@ class SelfCheck {
   /// worst there is. True: what is told is to be given up; the reason is below. What begins anew has the least trust
   /// until innovations fit.
   bool add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns);
+  /// The same from whom one can do without: he makes what is told be trusted less as long as he contradicts it, and
+  /// never ends it, since nobody knows which of the two is wrong.
+  void doubt(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) { remember(by, squared, degrees, t_ns); }
+  /// Who said nothing for longer than that is forgotten.
+  void forget_older(CheckedBy by, rt::TimeNs t_ns);
   /// 1: all fits; down to least_trust. Of the one that fits least.
   double trust() const;
   /// Mean squared innovation a degree of freedom; 1 where too few came.
@@ -49,6 +54,8 @@ class SelfCheck {
     double sum = 0, weight = 0;
     rt::TimeNs t_ns = 0, t_beyond_ns = 0;  ///< 0: not beyond
   };
+  One& remember(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns);
+
   const SelfCheckOptions options_;
   std::array<One, kCheckers> ones_;
   const char* reason_ = "";

@@ -1,0 +1,76 @@
+// The flight of inertial_flight.h through the inertial odometry, picture by picture.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+
+#include "tests/vo_core/inertial_flight.h"
+#include "vo_core/inertial/inertial_odometry.h"
+
+namespace godwit::vo::test {
+
+/// Flies at 20 pictures and 200 readings a second, and remembers what was told.
+class Flown {
+ public:
+  /// as_modelled: nothing is told on top of the smoother's own covariance, as this flight errs in no other way.
+  explicit Flown(Flight* flight, bool as_modelled = false) : flight_(*flight) {
+    InertialOdometryOptions options;
+    options.model = flight->model_;
+    if (as_modelled) options.told_place_sigma_m = options.told_scale_sigma = options.told_speed_sigma_m_s = 0;
+    odometry_ = std::make_unique<InertialOdometry>(flight->mounting_, options);
+  }
+
+  /// The readings of the 50 ms before t.
+  void feel(double t) {
+    for (int i = 1; i <= 10; ++i) {
+      if (silent_) continue;
+      ImuReading r = flight_.reading(t - 0.05 + i / 200.0);
+      r.gyro_rad_s += flight_.model_.imu.gyro * std::sqrt(200.0) * flight_.random();
+      r.accel_m_s2 += flight_.model_.imu.accel * std::sqrt(200.0) * flight_.random();
+      if (poison_) r.accel_m_s2.y() = std::numeric_limits<double>::quiet_NaN();
+      odometry_->add(r);
+    }
+  }
+  MetricPose frame(int k) {
+    const double t = k / 20.0;
+    // A picture that is stamped early comes before the readings up to when it was taken.
+    feel(t + std::min(0.0, rt::to_seconds(late_ns_)));
+    const InertialNode seen = flight_.node(k, {});
+    VisualPose pose;
+    pose.t_ns = seen.t_ns + late_ns_;
+    pose.tracked = tracked_;
+    pose.map_id = map_id_;
+    pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
+    pose.covariance = 1e-9 * Mat6::Identity();
+    if (young_) stray(t, &pose);
+    return odometry_->frame(pose);
+  }
+  /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
+  /// which it says, and, less and less, for seconds after that, which it doesn't. That second part stays in what it
+  /// says of the whole map.
+  void stray(double t, VisualPose* pose) {
+    const double rate = 0.02 * std::exp(-t / 2.5);
+    strayed_ += rate * std::sqrt(0.05) * flight_.random();
+    pose->T_map_cam.R = so3_exp(strayed_) * pose->T_map_cam.R;
+    const double told = t < 1 ? 0.02 : 5e-4;
+    told_variance_ += told * told * 0.05;
+    pose->relative_age_ns = rt::kNsPerSecond / 2;
+    pose->relative_covariance.diagonal().head<3>().setConstant(1e-9);
+    pose->relative_covariance.diagonal().tail<3>().setConstant(0.5 * told * told);
+    pose->covariance.diagonal().tail<3>().setConstant(told_variance_);
+  }
+  /// The camera's true place.
+  Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
+
+  Flight& flight_;
+  std::unique_ptr<InertialOdometry> odometry_;
+  bool silent_ = false, poison_ = false, tracked_ = true, young_ = false;
+  Vec3 strayed_ = Vec3::Zero();
+  double told_variance_ = 1e-9;
+  std::uint32_t map_id_ = 1;
+  rt::TimeNs late_ns_ = 0;  ///< pictures are stamped so much later than they were taken
+};
+
+}  // namespace godwit::vo::test
