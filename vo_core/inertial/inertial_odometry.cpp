@@ -166,7 +166,9 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   node.t_ns = measured_moment_of(pose);
   if (node.t_ns - last < after_ns) return false;
   const rt::TimeNs missing_ns = measured_since(node.t_ns, &node.since_last);
-  if (missing_ns > options_.max_missing_ns || node.since_last.dt_s() <= 0) {
+  // Where nothing was measured between two moments, held readings would be taken for what the sensor felt: a silence of
+  // half a second made the bias three times as large, and what is known of the sensor outlives the window.
+  if (missing_ns > options_.max_missing_ns || missing_ns >= node.t_ns - last || node.since_last.dt_s() <= 0) {
     refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
     begin_window(pose);
     return false;
