@@ -248,6 +248,22 @@ TEST(Pictures, SameSeedSamePicturesToTheBit) {
   }
 }
 
+TEST(Pictures, OneThatNobodyTakesLeavesTheOthersAsTheyAre) {
+  const Flight flight(scenario("street"), 9);
+  ASSERT_TRUE(flight.scenario().sensor.auto_exposure);
+  const std::unique_ptr<SimCamera> all = flight.camera(0), some = flight.camera(0);
+  for (const int index : {0, 1, 2, 3}) {
+    const Picture wanted = take(all.get(), index);
+    if (index == 1 || index == 2) {
+      hal::CapturedFrame frame;
+      EXPECT_EQ(some->next({}, nullptr, 0, &frame, nullptr), hal::CameraStatus::kFrame);
+      EXPECT_EQ(frame.sequence, static_cast<std::uint32_t>(index));
+    } else {
+      EXPECT_EQ(cv::norm(wanted.grey, take(some.get(), index).grey, cv::NORM_INF), 0) << index;
+    }
+  }
+}
+
 TEST(Pictures, NoiseIsNewInEveryPicture) {
   Scenario s = scenario("street");
   s.trajectory.legs = {Leg{}};

@@ -72,8 +72,14 @@ hal::CameraStatus SimCamera::next(const rt::MutableImageView& grey, std::uint8_t
     if (why != nullptr) *why = "dropped by the scenario";
     return hal::CameraStatus::kBadFrame;
   }
-  if (grey.data == nullptr) return hal::CameraStatus::kFrame;  // no room: passed over
+  // No room: passed over. What comes after it must not hang on that: the flight that is flown again passes over others.
+  const bool taken = grey.data != nullptr;
+  if (!taken && !flight_.scenario().sensor.auto_exposure) return hal::CameraStatus::kFrame;
   renderer_.render(t_s_);
+  if (!taken) {
+    sensor_.control(renderer_, t_s_);
+    return hal::CameraStatus::kFrame;
+  }
   sensor_.expose(renderer_, t_s_, frame->sequence, grey);
   return hal::CameraStatus::kFrame;
 }

@@ -23,7 +23,8 @@ class SimCamera final : public hal::Camera {
   int width() const override;
   int height() const override;
   int channels() const override { return 1; }
-  /// A picture that the scenario drops is a kBadFrame; `why` says so. Into an empty view nothing is rendered.
+  /// A picture that the scenario drops is a kBadFrame; `why` says so. Into an empty view nothing is
+  /// written; those after it are the same.
   hal::CameraStatus next(const rt::MutableImageView& grey, std::uint8_t* bgr, rt::TimeNs timeout_ns,
                          hal::CapturedFrame* frame, std::string* why) override;
   /// Number of pictures that are due over the flight.

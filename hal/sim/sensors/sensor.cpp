@@ -77,8 +77,7 @@ void Sensor::blur(const Renderer& scene) {
   }
 }
 
-void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, const rt::MutableImageView& grey) {
-  const int width = rig_.lens.width, height = rig_.lens.height, stride = scene.stride();
+void Sensor::control(const Renderer& scene, double t_s) {
   double wanted = model_.gain;
   for (const GainStep& step : model_.gain_steps) {
     if (t_s >= step.t_s) wanted = model_.gain * step.factor;
@@ -91,6 +90,13 @@ void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, cons
   } else {
     gain_ = wanted;
   }
+  wanted_ = wanted;
+}
+
+void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, const rt::MutableImageView& grey) {
+  const int width = rig_.lens.width, height = rig_.lens.height, stride = scene.stride();
+  control(scene, t_s);
+  const double wanted = wanted_;
   blur(scene);
 
   const RayTable& rays = scene.rays();

@@ -32,6 +32,8 @@ struct SensorModel {
 class Sensor {
  public:
   Sensor(const SensorModel& model, const CameraRig& rig, const Vec3& sun_world, std::uint64_t seed);
+  /// The exposure control alone, of a picture that nobody takes: a camera's does not stop for that. No allocation.
+  void control(const Renderer& scene, double t_s);
   /// Picture number `index`, its middle row exposed at t_s, into grey, which has the lens's size. No allocation.
   void expose(const Renderer& scene, double t_s, std::uint32_t index, const rt::MutableImageView& grey);
   /// Gain of the newest picture.
@@ -45,7 +47,8 @@ class Sensor {
   CameraRig rig_;
   Vec3 sun_world_;
   std::uint64_t seed_;
-  double gain_ = 0;
+  double gain_ = 0;    ///< of the exposure control
+  double wanted_ = 0;  ///< with what the scenario makes of it
   std::vector<float> blurred_, veil_, noise_;
 };
 
