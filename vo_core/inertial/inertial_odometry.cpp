@@ -113,8 +113,7 @@ ScaleHint InertialOdometry::hint() {
   if (!told.known()) return {};
   ScaleHint out{std::log(told.scale()), told.log_sigma()};
   if (!metric_) return out;
-  // The window's own opinion: what it took from them last time taken out again. Compared with what they had pulled it
-  // to, they would never be wrong.
+  // The window's own opinion, without what it took from them: beside what they had pulled it to they are never wrong.
   const double all = 1 / smoother_.covariance()(S::kScale, S::kScale);
   const double theirs = counted_.sigma > 0 ? 1 / (counted_.sigma * counted_.sigma) : 0;
   const double own = all - theirs;
@@ -166,8 +165,7 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   node.t_ns = measured_moment_of(pose);
   if (node.t_ns - last < after_ns) return false;
   const rt::TimeNs missing_ns = measured_since(node.t_ns, &node.since_last);
-  // Where nothing was measured between two moments, held readings would be taken for what the sensor felt: a silence of
-  // half a second made the bias three times as large, and what is known of the sensor outlives the window.
+  // Readings held over the whole of it are none: the bias that they make outlives the window.
   if (missing_ns > options_.max_missing_ns || missing_ns >= node.t_ns - last || node.since_last.dt_s() <= 0) {
     refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
     begin_window(pose);
