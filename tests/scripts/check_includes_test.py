@@ -25,6 +25,7 @@ ALLOWED = [
     ('vo_core/a.cpp', '"', 'hal/rt/image.h'),
     ('vo_core/a.cpp', '<', 'Eigen/Core'),
     ('vo_core/a.cpp', '<', 'hwy/highway.h'),
+    ('vo_core/image/patch.h', '<', 'hwy/highway.h'),
     ('vo_core/a.cpp', '<', 'cmath'),
     ('hal/rt/a.cpp', '<', 'pthread.h'),
     ('hal/rt/alloc_hook.cpp', '"', 'hal/rt/alloc_hook.h'),
@@ -77,6 +78,8 @@ FORBIDDEN = [
     ('vo_core/inertial/a.cpp', '"', 'vo_core/tracking/a.h'),
     ('vo_core/a.cpp', '"', 'vo_core/map/a.h'),
     ('hal/sim/world/a.cpp', '"', 'hal/sim/flight/a.h'),
+    ('vo_core/map/a.h', '<', 'hwy/cache_control.h'),
+    ('hal/sim/render/a.h', '<', 'hwy/highway.h'),
 ]
 
 

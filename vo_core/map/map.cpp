@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <hwy/cache_control.h>
 
 namespace godwit::vo {
 
@@ -20,6 +21,10 @@ void Map::clear() {
     points_[i].observation_count = 0;
   }
   keyframe_count_ = point_count_ = point_end_ = next_free_point_ = 0;
+}
+
+void Map::prefetch(PointHandle h) const {
+  hwy::Prefetch(&points_[h.index < kMaxPoints ? h.index : 0]);
 }
 
 int Map::free_keyframe_place() const {

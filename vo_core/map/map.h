@@ -4,7 +4,6 @@
 
 #include <array>
 #include <cstdint>
-#include <hwy/cache_control.h>
 #include <memory>
 
 #include "hal/rt/image.h"
@@ -91,7 +90,7 @@ class Map {
   const MapPoint* find(PointHandle h) const { return const_cast<Map*>(this)->find(h); }
 
   /// Asks for what find() looks at, and the point's place: points lie in no order that a processor would foresee.
-  void prefetch(PointHandle h) const { hwy::Prefetch(&points_[h.index < kMaxPoints ? h.index : 0]); }
+  void prefetch(PointHandle h) const;
 
   MapPoint& point(int index) { return points_[index]; }
   const MapPoint& point(int index) const { return points_[index]; }
