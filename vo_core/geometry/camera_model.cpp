@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <hwy/highway.h>
 #include <numbers>
 #include <span>
 #include <string>
@@ -9,6 +10,7 @@
 #include "hal/rt/image.h"
 
 namespace godwit::vo {
+namespace hn = hwy::HWY_NAMESPACE;
 namespace {
 
 /// Pinhole: points more than 84 degrees off the axis are never in the picture, but can overflow the polynomial.
@@ -39,19 +41,23 @@ double monotonic_limit(std::span<const double> k, double limit) {
 }
 
 /// Distorted pinhole coordinates d(x, y) and the symmetric Jacobian's three entries.
+template <typename Real>
 struct Distorted {
-  double x, y;
-  double xx, xy, yy;  // d x_d / d x, d x_d / d y (= d y_d / d x), d y_d / d y
+  Real x, y;
+  Real xx, xy, yy;  // d x_d / d x, d x_d / d y (= d y_d / d x), d y_d / d y
 };
 
-inline Distorted distort(const std::array<double, 5>& k, double x, double y) {
-  const double x2 = x * x, y2 = y * y, xy = x * y, r2 = x2 + y2;
-  const double radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
-  const double slope2 = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4]));  // d radial / d x = slope2 * x
-  const double p1 = k[2], p2 = k[3];
-  return {x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x2), y * radial + p1 * (r2 + 2.0 * y2) + 2.0 * p2 * xy,
-          radial + slope2 * x2 + 2.0 * p1 * y + 6.0 * p2 * x, slope2 * xy + 2.0 * p1 * x + 2.0 * p2 * y,
-          radial + slope2 * y2 + 6.0 * p1 * y + 2.0 * p2 * x};
+/// Real: double, or a vector of numbers, which has the same operators. real(double): such a one.
+template <typename Real, typename Set>
+inline Distorted<Real> distort(const std::array<Real, 5>& k, const Real& x, const Real& y, const Set& real) {
+  const Real x2 = x * x, y2 = y * y, xy = x * y, r2 = x2 + y2;
+  const Real one = real(1.0), two = real(2.0), six = real(6.0);
+  const Real radial = one + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
+  const Real slope2 = two * (k[0] + r2 * (two * k[1] + r2 * real(3.0) * k[4]));  // d radial / d x = slope2 * x
+  const Real &p1 = k[2], &p2 = k[3];
+  return {x * radial + two * p1 * xy + p2 * (r2 + two * x2), y * radial + p1 * (r2 + two * y2) + two * p2 * xy,
+          radial + slope2 * x2 + two * p1 * y + six * p2 * x, slope2 * xy + two * p1 * x + two * p2 * y,
+          radial + slope2 * y2 + six * p1 * y + two * p2 * x};
 }
 
 /// theta_d and d theta_d / d theta of the Kannala-Brandt polynomial.
@@ -156,7 +162,7 @@ bool CameraModel::project(const Vec3& p_cam, Vec2* px, Mat23* J) const {
     const double inv_z = 1.0 / Z;
     const double x = X * inv_z, y = Y * inv_z;
     if (!(x * x + y * y <= max_r_ * max_r_)) return false;
-    const Distorted d = distort(k_, x, y);
+    const Distorted<double> d = distort(k_, x, y, [](double value) { return value; });
     *px = Vec2(fx_ * d.x + cx_, fy_ * d.y + cy_);
     if (J != nullptr) {
       const double a = fx_ * inv_z, b = fy_ * inv_z;
@@ -194,6 +200,56 @@ bool CameraModel::project(const Vec3& p_cam, Vec2* px, Mat23* J) const {
   return true;
 }
 
+template <typename Real>
+void CameraModel::project_rows(int count, const Rows<Real>& rows) const {
+  if (kind_ != Kind::kPinholeRadTan) {
+    for (int i = 0; i < count; ++i) {
+      Vec2 px(cx_, cy_);
+      Mat23 J = Mat23::Zero();
+      const Vec3 p(static_cast<double>(rows.x[i]), static_cast<double>(rows.y[i]), static_cast<double>(rows.z[i]));
+      rows.seen[i] = project(p, &px, rows.J != nullptr ? &J : nullptr) ? Real{1} : Real{0};
+      rows.u[i] = static_cast<Real>(px.x());
+      rows.v[i] = static_cast<Real>(px.y());
+      if (rows.J == nullptr) continue;
+      for (int k = 0; k < 6; ++k) rows.J[k][i] = static_cast<Real>(J(k / 3, k % 3));
+    }
+    return;
+  }
+  // A point that cannot be seen is taken for one on the axis.
+  const hn::CappedTag<Real, kRowLanes> d;
+  using V = hn::Vec<decltype(d)>;
+  const auto set = [&](double value) { return hn::Set(d, static_cast<Real>(value)); };
+  const V one = set(1.0), fx = set(fx_), fy = set(fy_), cx = set(cx_), cy = set(cy_), most_r2 = set(max_r_ * max_r_);
+  const std::array<V, 5> k{set(k_[0]), set(k_[1]), set(k_[2]), set(k_[3]), set(k_[4])};
+  for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d))) {
+    const V z = hn::LoadU(d, rows.z + i);
+    const auto before = hn::Gt(z, hn::Zero(d));
+    const V inv_z = hn::Div(one, hn::IfThenElse(before, z, one));
+    const V x_any = hn::Mul(hn::LoadU(d, rows.x + i), inv_z), y_any = hn::Mul(hn::LoadU(d, rows.y + i), inv_z);
+    const auto within = hn::And(before, hn::Le(hn::Add(hn::Mul(x_any, x_any), hn::Mul(y_any, y_any)), most_r2));
+    const V x = hn::IfThenElseZero(within, x_any), y = hn::IfThenElseZero(within, y_any);
+    const Distorted<V> at = distort(k, x, y, [&](double value) { return set(value); });
+    hn::StoreU(hn::Add(hn::Mul(fx, at.x), cx), d, rows.u + i);
+    hn::StoreU(hn::Add(hn::Mul(fy, at.y), cy), d, rows.v + i);
+    hn::StoreU(hn::IfThenElseZero(within, one), d, rows.seen + i);
+    if (rows.J == nullptr) continue;
+    const V a = hn::Mul(fx, inv_z), b = hn::Mul(fy, inv_z);
+    hn::StoreU(hn::Mul(a, at.xx), d, rows.J[0] + i);
+    hn::StoreU(hn::Mul(a, at.xy), d, rows.J[1] + i);
+    hn::StoreU(hn::Neg(hn::Mul(a, hn::Add(hn::Mul(at.xx, x), hn::Mul(at.xy, y)))), d, rows.J[2] + i);
+    hn::StoreU(hn::Mul(b, at.xy), d, rows.J[3] + i);
+    hn::StoreU(hn::Mul(b, at.yy), d, rows.J[4] + i);
+    hn::StoreU(hn::Neg(hn::Mul(b, hn::Add(hn::Mul(at.xy, x), hn::Mul(at.yy, y)))), d, rows.J[5] + i);
+  }
+}
+
+void CameraModel::project(int count, const Rows<float>& rows) const {
+  project_rows(count, rows);
+}
+void CameraModel::project(int count, const Rows<double>& rows) const {
+  project_rows(count, rows);
+}
+
 Vec3 CameraModel::unproject(const Vec2& px) const {
   const double xd = (px.x() - cx_) / fx_, yd = (px.y() - cy_) / fy_;
   if (kind_ == Kind::kPinholeRadTan) {
@@ -206,7 +262,7 @@ Vec3 CameraModel::unproject(const Vec2& px) const {
         x *= shrink;
         y *= shrink;
       }
-      const Distorted d = distort(k_, x, y);
+      const Distorted<double> d = distort(k_, x, y, [](double value) { return value; });
       const double ex = xd - d.x, ey = yd - d.y;
       const double inv_det = 1.0 / (d.xx * d.yy - d.xy * d.xy);
       const double sx = (d.yy * ex - d.xy * ey) * inv_det, sy = (d.xx * ey - d.xy * ex) * inv_det;

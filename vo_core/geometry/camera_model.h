@@ -42,6 +42,19 @@ class CameraModel {
   /// J, if given: d pixel / d p_cam (2x3).
   bool project(const Vec3& p_cam, Vec2* px, Mat23* J = nullptr) const;
 
+  /// The same for many points at once, coordinate by coordinate: the arrays hold `count` and are as long as the next
+  /// multiple of kRowLanes, whatever stands there. seen: 1 where project() is true, else 0, and then pixel and Jacobian are
+  /// those of a point on the axis. J, if given: six arrays, the Jacobian row by row. In float the pixel is off by 1e-4 px.
+  static constexpr int kRowLanes = 8;
+  template <typename Real>
+  struct Rows {
+    const Real *x, *y, *z;  ///< camera frame
+    Real *u, *v, *seen;
+    Real* const* J = nullptr;
+  };
+  void project(int count, const Rows<float>& rows) const;
+  void project(int count, const Rows<double>& rows) const;
+
   /// Unit-length bearing of a pixel, camera frame. Iterative; exact to 1e-9 rad inside the picture.
   Vec3 unproject(const Vec2& px) const;
 
@@ -54,6 +67,8 @@ class CameraModel {
   CameraModel() = default;
   /// Error if some pixel of the picture has no bearing that projects back onto it.
   rt::Result<void> check_picture() const;
+  template <typename Real>
+  void project_rows(int count, const Rows<Real>& rows) const;
   Kind kind_ = Kind::kPinholeRadTan;
   int width_ = 0, height_ = 0;
   double fx_ = 0, fy_ = 0, cx_ = 0, cy_ = 0;
