@@ -55,7 +55,7 @@ TEST(SparseImageAlign, DerivativesOfItsWarpAreThoseOfDifferences) {
       ASSERT_TRUE(f.camera.project(p.p_ref, &px, &Jp));
       EXPECT_TRUE(test::agrees(align_jacobian(Jp, p.p_ref, row_time), test::numeric_jacobian<6>([&](const Vec6& x) {
                                  Vec2 there = Vec2::Zero();
-                                 EXPECT_TRUE(f.camera.project(align_warp(SE3::exp(x), x, p.p_ref, row_time), &there));
+                                 EXPECT_TRUE(f.camera.project(align_warp(SE3::exp(x) * p.p_ref, x, row_time), &there));
                                  return there;
                                })))
           << row_time;

@@ -55,43 +55,65 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   std::fill_n(cell_head_.begin(), columns_ * rows_, kEnd);
   std::fill_n(shaded_head_.begin(), columns_ * rows_, kEnd);
   candidate_count_ = 0;
-  for (int i = 0; i < n; ++i) {
+  for (int i = 0; i < n && candidate_count_ < kMaxCandidates; ++i) {
     const Keyframe& kf = map->keyframe(near[i].second);
-    for (int f = 0; f < kf.feature_count && candidate_count_ < kMaxCandidates; ++f) {
+    int points = 0;
+    for (int f = 0; f < kf.feature_count; ++f) {
       if (f + kAhead < kf.feature_count) map->prefetch(kf.features[f + kAhead].point);
-      const PointHandle h = kf.features[f].point;
-      MapPoint* p = map->find(h);
+      MapPoint* p = map->find(kf.features[f].point);
       if (!p || p->last_mark == mark) continue;
       p->last_mark = mark;
-      Vec2 px;
-      const Vec3 p_cam = T_cam_world * p->p_world;
-      if (options_.shutter.readout_s > 0.0) {
-        Mat23 J;
-        if (!camera_.project(p_cam, &px, &J)) continue;
-        px += rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
-      } else if (!camera_.project(p_cam, &px)) {
-        continue;
-      }
-      if (!camera_.in_image(px, 8.0)) continue;
-      const bool shaded =
-          mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
-      if (shaded && p->observation_count < options_.proven_observations) continue;
-      const int cell =
-          static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
-      Candidate& c = candidates_[candidate_count_];
-      c.point = h;
-      c.px = px.cast<float>();
-      c.keyframe = kUnchosen;
-      // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
-      const int reliability = p->found * 8 / (p->found + 2 * p->missed + 8);
-      c.weight = static_cast<std::uint16_t>(p->observation_count * 8 + reliability);
-      std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
-      while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
-      c.next = *link;
-      *link = static_cast<std::uint16_t>(candidate_count_++);
+      for (int k = 0; k < 3; ++k) p_world_[k][points] = p->p_world(k);
+      seen_point_[points++] = kf.features[f].point;
     }
+    project(points, T_cam_world, velocity);
+    for (int k = 0; k < points && candidate_count_ < kMaxCandidates; ++k)
+      if (seen_[k] > 0.0) add_candidate(*map, seen_point_[k], Vec2(u_[k], v_[k]), mask);
   }
   result->candidates = candidate_count_;
+}
+
+void Reprojector::project(int points, const SE3& T_cam_world, const Vec6& velocity) {
+  const Mat3& R = T_cam_world.R;
+  for (int axis = 0; axis < 3; ++axis) {
+    const double a = R(axis, 0), b = R(axis, 1), c = R(axis, 2), t = T_cam_world.t(axis);
+    for (int k = 0; k < points; ++k)
+      p_cam_[axis][k] = a * p_world_[0][k] + b * p_world_[1][k] + c * p_world_[2][k] + t;
+  }
+  const bool rolling = options_.shutter.readout_s > 0.0;
+  double* const J[6] = {J_[0].data(), J_[1].data(), J_[2].data(), J_[3].data(), J_[4].data(), J_[5].data()};
+  camera_.project(points, CameraModel::Rows<double>{p_cam_[0].data(), p_cam_[1].data(), p_cam_[2].data(), u_.data(),
+                                                    v_.data(), seen_.data(), rolling ? J : nullptr});
+  if (!rolling) return;
+  for (int k = 0; k < points; ++k) {
+    Mat23 J_point;
+    J_point << J_[0][k], J_[1][k], J_[2][k], J_[3][k], J_[4][k], J_[5][k];
+    const Vec2 moved = rolling_displacement(options_.shutter, camera_.height(),
+                                            Vec3(p_cam_[0][k], p_cam_[1][k], p_cam_[2][k]), J_point, v_[k], velocity);
+    u_[k] += moved.x();
+    v_[k] += moved.y();
+  }
+}
+
+void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& px, const rt::MaskPyramidView& mask) {
+  if (!camera_.in_image(px, 8.0)) return;
+  const MapPoint& p = *map.find(point);
+  const bool shaded =
+      mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
+  if (shaded && p.observation_count < options_.proven_observations) return;
+  const int cell =
+      static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
+  Candidate& c = candidates_[candidate_count_];
+  c.point = point;
+  c.px = px.cast<float>();
+  c.keyframe = kUnchosen;
+  // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
+  const int reliability = p.found * 8 / (p.found + 2 * p.missed + 8);
+  c.weight = static_cast<std::uint16_t>(p.observation_count * 8 + reliability);
+  std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
+  while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
+  c.next = *link;
+  *link = static_cast<std::uint16_t>(candidate_count_++);
 }
 
 void Reprojector::make_ready(const Map& map, std::uint16_t index) {

@@ -73,6 +73,9 @@ class Reprojector {
 
   void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
                std::uint32_t mark, ReprojectionResult* result);
+  /// Where the first `points` of p_world_ appear: u_, v_ and seen_.
+  void project(int points, const SE3& T_cam_world, const Vec6& velocity);
+  void add_candidate(const Map& map, PointHandle point, const Vec2& px, const rt::MaskPyramidView& mask);
   void run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
                 FrameFeature* out);
   void run_shaded(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
@@ -86,6 +89,14 @@ class Reprojector {
   const CameraModel& camera_;
   ReprojectorOptions options_;
   int columns_, rows_;
+  // The points of one keyframe, coordinate by coordinate.
+  static constexpr int kRoom =
+      (kMaxKeyframeFeatures + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes;
+  using Row = std::array<double, kRoom>;
+  std::array<Row, 3> p_world_{}, p_cam_{};
+  Row u_{}, v_{}, seen_{};
+  std::array<Row, 6> J_{};
+  std::array<PointHandle, kRoom> seen_point_;
   int candidate_count_ = 0;
   int coarser_ = 0;               ///< of the run at hand
   Vec3 position_ = Vec3::Zero();  ///< the camera's, of the run at hand

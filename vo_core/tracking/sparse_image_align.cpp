@@ -21,11 +21,11 @@ void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
   patch_count_ = static_cast<int>(std::min<std::size_t>(points.size(), patches_.size()));
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
+    for (int axis = 0; axis < 3; ++axis) p_ref_[axis][i] = static_cast<float>(points[i].p_ref(axis));
     Vec2 unused;
     Mat23 Jp;
     patch.in_view = camera_.project(points[i].p_ref, &unused, &Jp);
     if (!patch.in_view) continue;
-    patch.p_ref = points[i].p_ref;
     patch.J_level_0 =
         align_jacobian(Jp, points[i].p_ref, row_time(static_cast<double>(points[i].px.y()))).cast<float>();
   }
@@ -42,7 +42,7 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
                     px.x() < static_cast<float>(ref.width - kHalf - 3) &&
                     px.y() < static_cast<float>(ref.height - kHalf - 3);
     if (!patch.visible) continue;
-    patch.row = static_cast<double>(points[i].px.y());
+    row_[i] = points[i].px.y();
     patch.J = patch.J_level_0 * scale;
 
     alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
@@ -84,6 +84,30 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
   }
 }
 
+void SparseImageAlign::warp(const SE3& T_cur_ref) {
+  const hn::CappedTag<float, CameraModel::kRowLanes> d;
+  const auto at = [&](const Row& row, int i) { return hn::LoadU(d, row.data() + i); };
+  const auto set = [&](double value) { return hn::Set(d, static_cast<float>(value)); };
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  for (int i = 0; i < patch_count_; i += lanes) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto p = set(T_cur_ref.R(axis, 0)) * at(p_ref_[0], i) + set(T_cur_ref.R(axis, 1)) * at(p_ref_[1], i) +
+                     set(T_cur_ref.R(axis, 2)) * at(p_ref_[2], i) + set(T_cur_ref.t(axis));
+      hn::StoreU(p, d, p_cur_[axis].data() + i);
+    }
+  }
+  if (shutter_.readout > 0.0) {
+    const Vec6 motion = T_cur_ref.log();
+    for (int i = 0; i < patch_count_; ++i) {
+      const Vec3f p(p_cur_[0][i], p_cur_[1][i], p_cur_[2][i]);
+      const Vec3 moved = align_warp(p.cast<double>(), motion, row_time(static_cast<double>(row_[i])));
+      for (int axis = 0; axis < 3; ++axis) p_cur_[axis][i] = static_cast<float>(moved(axis));
+    }
+  }
+  camera_.project(patch_count_, CameraModel::Rows<float>{p_cur_[0].data(), p_cur_[1].data(), p_cur_[2].data(), u_.data(),
+                                                         v_.data(), seen_.data()});
+}
+
 int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,
                                  float* cost) {
   const hn::FixedTag<float, 4> df;
@@ -91,14 +115,12 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
   b->setZero();
   float total = 0.0f, weight_sum = 0.0f;
   int used = 0;
-  const Vec6 motion = shutter_.readout > 0.0 ? T_cur_ref.log() : Vec6::Zero();
+  warp(T_cur_ref);
   for (int i = 0; i < patch_count_; ++i) {
-    Patch& patch = patches_[i];
-    if (!patch.visible) continue;
-    Vec2 px0;
-    if (!camera_.project(align_warp(T_cur_ref, motion, patch.p_ref, row_time(patch.row)), &px0)) continue;
-    patch.row = std::clamp(px0.y(), 0.0, static_cast<double>(camera_.height()));
-    const Vec2f px = to_level(px0.cast<float>(), level);
+    const Patch& patch = patches_[i];
+    if (!patch.visible || !(seen_[i] > 0.0f)) continue;
+    row_[i] = std::clamp(v_[i], 0.0f, static_cast<float>(camera_.height()));
+    const Vec2f px = to_level(Vec2f(u_[i], v_[i]), level);
     if (!(px.x() >= kHalf && px.y() >= kHalf && px.x() < static_cast<float>(cur.width - kHalf - 1) &&
           px.y() < static_cast<float>(cur.height - kHalf - 1)))
       continue;

@@ -64,14 +64,18 @@ class SparseImageAlign {
     Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
     Eigen::Matrix<float, 2, 6> J_level_0, J;          // d pixel / d twist of the reference point, at level 0 and this
     Mat6f H;
-    Vec3 p_ref;
-    double row;    ///< where it was last seen [level-0 px]
     bool in_view;  ///< of the camera
     bool visible;  ///< whole, in the level at hand
   };
 
+  static constexpr int kRoom =
+      (kMaxFrameFeatures + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes;
+  using Row = std::array<float, kRoom>;
+
   /// Time at which a row is read, over the time between the frames, 0 at the capture time.
   double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
+  /// Where the points appear at this motion: u_, v_ and seen_.
+  void warp(const SE3& T_cur_ref);
   void look_at(std::span<const AlignPoint> points);
   void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
   int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b, float* cost);
@@ -81,6 +85,9 @@ class SparseImageAlign {
   AlignShutter shutter_;
   int patch_count_ = 0;
   std::array<Patch, kMaxFrameFeatures> patches_;
+  /// The points in the reference camera's frame; the rows where they were last seen [level-0 px].
+  std::array<Row, 3> p_ref_{}, p_cur_{};
+  Row row_{}, u_{}, v_{}, seen_{};
 };
 
 }  // namespace godwit::vo
