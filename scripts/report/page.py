@@ -181,7 +181,8 @@ def write(runs, judged, colours, pictures, views, notes):
                 'and below the diagonal: too sure; the other way: too careful.', shown('consistency', 'consistency'), 'consistency'),
         section('States and reasons', 'A frame counts as tracked with at least 30 features (dashed). Triangles are events other '
                 'than a change of state.', shown('timeline', 'states over time') + events(runs), 'states'),
-        section('Time', 'Of tracked frames. Both axes of the histograms are logarithmic, so that the rare and slow ones are seen.',
+        section('Time', 'Of tracked frames. Both axes of the histograms are logarithmic, so that the rare and slow ones are seen. The outline is '
+                'what the thread computed itself: what lies to the right of it, others had of the machine.',
                 shown('latency', 'latency histogram'), 'latency'),
         section('What was seen', 'The first one whole: the picture; what was left out as moving, red; the features behind the pose '
                 '(corners green, edgelets yellow, inside a mask blue).', seen, 'views'),

@@ -136,21 +136,27 @@ def latency(runs):
     for ax, (name, title) in zip(axes, columns):
         values = [r.column(name)[r.tracked] if name in (r.frames[0] if r.frames else {}) else np.zeros(0) for r in runs]
         values = [v[np.isfinite(v)] for v in values]
-        longest = max([v.max() for v in values if len(v)] or [1.0])
-        shortest = max(min([v.min() for v in values if len(v)] or [0.1]), 0.01)
+        # What the thread computed stands beside it: on a busy machine the wall tells of others.
+        computed = [r.column('thread_cpu_ms')[r.tracked] if name == 'ms' and r.frames and 'thread_cpu_ms' in r.frames[0] else np.zeros(0)
+                    for r in runs]
+        computed = [v[np.isfinite(v)] for v in computed]
+        longest = max([v.max() for v in values + computed if len(v)] or [1.0])
+        shortest = max(min([v.min() for v in values + computed if len(v)] or [0.1]), 0.01)
         bins = np.geomspace(shortest, max(longest, 2 * shortest), 60)
-        for n, (run, v) in enumerate(zip(runs, values)):
+        for n, (run, v, cpu) in enumerate(zip(runs, values, computed)):
             if not len(v):
                 continue
             ax.hist(v, bins, color=colour(n), alpha=0.35 if len(runs) > 1 else 0.75, histtype='stepfilled')
+            if len(cpu):
+                ax.hist(cpu, bins, color='#22262b' if len(runs) == 1 else colour(n), histtype='step', lw=1,
+                        label="thread's processor time" if n == 0 else None)
             for key, style in (('median', '-'), ('p99', '--'), ('max', ':')):
                 if name in run.summary:
                     ax.axvline(run.summary[name][key], color=colour(n), ls=style, lw=1.2, label=key if n == 0 else None)
-        ax.set(xscale='log', yscale='log', xlabel=title, ylabel='frames')
-        ax.set_ylim(0.7, 4 * ax.get_ylim()[1])  # room for the legend
+        ax.set(xscale='log', yscale='log', xlabel=title, ylabel='frames', ylim=(0.7, None))
         ax.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda x, _: f'{x:g}'))
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=8, loc='upper right', ncols=3, handlelength=1.4, columnspacing=1)
+        if ax.get_legend_handles_labels()[0]:  # above the axes: inside, lines would cross it
+            ax.legend(fontsize=8, loc='lower left', bbox_to_anchor=(-0.08, 1), ncols=4, handlelength=1.4, columnspacing=1, borderpad=0)
     stage_bars(axes[-1], runs)
     return fig
 
