@@ -7,7 +7,7 @@
 namespace godwit::vo {
 namespace {
 
-constexpr float kConvergedPx = 0.02f;  // a tenth of what an alignment is off by anyhow (match_noise.h)
+constexpr float kConvergedPx = 0.02f;  // a fourteenth of what an alignment is off by anyhow (match_noise.h)
 // A patch that is blurred against its reference, or sharper, makes each step too short or too long by the same share, in
 // each direction. Two steps tell which: Broyden's update of the steps' scale, unless the second is hardly shorter.
 constexpr float kLeastGained = 0.15f;
