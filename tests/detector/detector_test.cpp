@@ -135,7 +135,7 @@ TEST_P(DeliveredModel, OpensWithItsMetadata) {
 
 INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel,
                          ::testing::Values(Input{"416", 416, 416}, Input{"320", 320, 320}, Input{"480x352", 480, 352}),
-                         [](const auto& info) { return std::string(info.param.name); });
+                         [](const auto& input) { return std::string(input.param.name); });
 
 // One set of weights in two inputs: what a picture of a camera shows is in the same places.
 TEST_F(DetectorTest, ARectangularInputFindsTheSameAsASquareOne) {
