@@ -135,6 +135,7 @@ def main() -> None:
         gates = choose.gate_spreads(net, choose.pictures_that_choose(args.data), torch.device("cpu"))
     args.out.mkdir(parents=True, exist_ok=True)
     if args.reference:  # from the network as it was trained, before anything is folded
+        args.reference.mkdir(parents=True, exist_ok=True)
         for width, height in args.input:
             write_reference(net, width, height, args.reference / f"{name_of(net)}_{input_name(width, height)}.reference")
     net.fuse()

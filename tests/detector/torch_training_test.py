@@ -279,6 +279,30 @@ class Comparison(unittest.TestCase):
         with self.assertRaisesRegex(SystemExit, 'same pictures'):
             compare.verdict([self.figures([1], 0.2)], [self.figures([1], 0.2, 'b')], 40)
 
+    def delivered(self, *words, fails=None):
+        """The programs that deliver.py starts, with their words; the one that is named ends with 7."""
+        started = []
+
+        def python(program, *rest, **_):
+            started.append((program.name, [str(w) for w in rest]))
+            return 7 if program.name == fails else 0
+
+        with tempfile.TemporaryDirectory() as folder, unittest.mock.patch.object(deliver, 'python', python), \
+                unittest.mock.patch.object(sys, 'argv', ['deliver.py', '--data', 'D', '--out', folder, *words]):
+            pathlib.Path(folder, 'figures.txt').touch()
+            return deliver.main(), started
+
+    def test_delivered_files_are_replaced_last_and_only_when_asked(self):
+        code, started = self.delivered('--steps', '5')
+        self.assertEqual((code, [p for p, _ in started]), (0, ['train.py', 'export.py', *['evaluate.py'] * 4]))
+        self.assertIn('--steps', started[0][1])
+        code, started = self.delivered('--take', '--models', 'M', '--reference', 'R')
+        self.assertEqual((code, len(started), started[-1][0]), (0, 7, 'export.py'))
+        self.assertEqual(started[-1][1][-4:], ['--out', 'M', '--reference', 'R'])
+        for fails, count in (('train.py', 1), ('export.py', 2), ('evaluate.py', 3)):
+            code, started = self.delivered('--take', fails=fails)
+            self.assertEqual((code, len(started)), (7, count))
+
     def refused(self, parse, *words):
         told = io.StringIO()
         with contextlib.redirect_stderr(told), self.assertRaises(SystemExit) as ended:
