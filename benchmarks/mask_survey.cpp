@@ -1,4 +1,4 @@
-// godwit-mask-survey WITH WITHOUT [--every N] [--late N] [--limit N] [--score S] [--hold S...]
+// godwit-mask-survey WITH WITHOUT [--every N] [--late N] [--limit N] [--score S] [--hold S...] [--model FILE]
 // What of the people in a sequence is masked, picture by picture: WITH is a sequence that people were put into
 // (boxes.txt: timestamp x0 y0 x1 y1), WITHOUT the one they were put into; where the two differ inside a box stands a
 // person. Every Nth picture is looked at (1), its boxes come N pictures later (0, less than --every). One line for each
@@ -101,9 +101,9 @@ void take(const cv::Mat& people, const cv::Mat& mask, const std::vector<detector
   s->before = std::move(now);
 }
 
-std::unique_ptr<app::DynamicMasks> open(const rt::FramePool* pool, float score, float hold) {
+std::unique_ptr<app::DynamicMasks> open(const rt::FramePool* pool, const std::string& model, float score, float hold) {
   app::DynamicMasksOptions options;
-  options.model = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
+  options.model = model;
   options.detector.decode.score_threshold = score;
   options.hold_score = hold;
   options.first_mask_ns = 0;
@@ -122,6 +122,7 @@ std::unique_ptr<app::DynamicMasks> open(const rt::FramePool* pool, float score, 
 int main(int argc, char** argv) {
   int every = 1, late = 0, limit = 1 << 30;
   float score = 0.25F;
+  std::string model = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
   std::vector<std::string> folders;
   std::vector<float> holds;
   for (int i = 1; i < argc; ++i) {
@@ -140,6 +141,8 @@ int main(int argc, char** argv) {
       limit = std::atoi(value);
     else if (arg == "--score")
       score = std::strtof(value, nullptr);
+    else if (arg == "--model")
+      model = value;
     else if (arg == "--hold")
       holds.push_back(std::strtof(value, nullptr));
     else
@@ -148,7 +151,7 @@ int main(int argc, char** argv) {
   if (folders.size() != 2 || late >= every) {
     std::fprintf(stderr,
                  "usage: godwit-mask-survey WITH WITHOUT [--every N] [--late N, below N of --every] [--limit N] "
-                 "[--score S] [--hold S]...\n");
+                 "[--score S] [--hold S]... [--model FILE]\n");
     return 2;
   }
   if (holds.empty()) holds = {1.F, 0.15F};
@@ -171,7 +174,7 @@ int main(int argc, char** argv) {
   const int slot = pool->acquire(), looked_at = pool->acquire();
   rt::FrameMeta meta, looked_at_meta;
   std::vector<std::unique_ptr<app::DynamicMasks>> masks;
-  for (const float hold : holds) masks.push_back(open(pool.get(), score, hold));
+  for (const float hold : holds) masks.push_back(open(pool.get(), model, score, hold));
   std::vector<Sums> sums(masks.size());
   const auto fill = [&](const cv::Mat& bgr, int into) {
     cv::Mat grey;

@@ -88,6 +88,10 @@ class Reader {
 
 }  // namespace
 
+int ModelInfo::square_px() const {
+  return static_cast<int>(std::lround(std::sqrt(static_cast<double>(input_width) * input_height)));
+}
+
 int ModelInfo::output_rows() const {
   int cells = 0;
   for (const int stride : {8, 16, 32}) cells += (input_width / stride) * (input_height / stride);

@@ -31,6 +31,8 @@ struct ModelInfo {
   std::vector<bool> movable;         ///< by class number: may move, so its pixels are not trusted
   std::string sha256;                ///< of the network's file: 64 hexadecimal digits
 
+  /// Side of the square of as many pixels, rounded: what a look costs goes with the input's pixels, not with its width.
+  int square_px() const;
   /// Rows that the output must have: cells of strides 8, 16 and 32, times three anchors for YOLOv5.
   int output_rows() const;
 };

@@ -1,4 +1,4 @@
-"""Training views: scale and shift, mosaic, tiles (close crops for small objects), flips, colour, grey."""
+"""Training views: scale and shift, mosaic, tiles (close crops for small objects), people cut by the edge, flips, colour, grey."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -10,7 +10,12 @@ from data import Picture
 
 BORDER = 114  # the value that letterboxing fills with
 # Zoom against the view that fits the whole picture, per set: (smallest, largest). Above 1 is a tile of the picture.
-ZOOM = {"coco": (0.5, 1.5), "cats_topdown": (0.3, 1.4), "aerial_cars": (0.85, 3.0), "visdrone": (0.9, 4.0)}
+# Below 1 it is smaller than it flies: what is near in COCO is far below an aircraft.
+ZOOM = {"coco": (0.25, 1.5), "cats_topdown": (0.2, 1.4), "aerial_cars": (0.85, 3.0), "visdrone": (0.9, 4.0),
+        "simulated": (0.8, 1.6)}
+GREY_SHARE = 0.5  # of the views: two of three cameras here are grey
+CUT_SHARE = 0.25  # of the views of one COCO picture: a person whom the edge cuts, where there is one
+PERSON = 0
 # Sets that look straight down, at least mostly, have no up: they may be turned.
 TURNED = frozenset({"cats_topdown", "aerial_cars"})
 VISIBLE_KEEP, VISIBLE_DROP = 0.35, 0.1  # share of a box still in view: above is learnt, between is left out
@@ -38,10 +43,10 @@ def _turn(p: Picture, rng: np.random.Generator) -> Picture:
     return Picture(p.name, p.source, np.ascontiguousarray(image), boxes, p.labels, ignore)
 
 
-def _place(canvas: np.ndarray, region: tuple[int, int, int, int], p: Picture, fitted: float,
-           rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draws `p` into `region` (x0 y0 x1 y1) of the canvas, its longer side `fitted` pixels; returns the boxes, labels and
-    ignored boxes in view."""
+def _place(canvas: np.ndarray, region: tuple[int, int, int, int], p: Picture, fitted: float, rng: np.random.Generator,
+           corner: tuple[float, float] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draws `p` into `region` (x0 y0 x1 y1) of the canvas, its longer side `fitted` pixels and its corner anywhere, or at
+    `corner` from that of the region; returns the boxes, labels and ignored boxes in view."""
     x0, y0, x1, y1 = region
     rw, rh = x1 - x0, y1 - y0
     h, w = p.image.shape[:2]
@@ -49,6 +54,8 @@ def _place(canvas: np.ndarray, region: tuple[int, int, int, int], p: Picture, fi
     # Whichever is larger, picture or region, the smaller one slides inside it.
     dx = rng.uniform(min(0.0, rw - w * scale), max(0.0, rw - w * scale))
     dy = rng.uniform(min(0.0, rh - h * scale), max(0.0, rh - h * scale))
+    if corner is not None:
+        dx, dy = corner
     image = p.image
     if scale < 0.6:  # bilinear sampling alone would alias
         image = cv2.resize(image, (max(1, round(w * scale)), max(1, round(h * scale))), interpolation=cv2.INTER_AREA)
@@ -77,8 +84,8 @@ def _place(canvas: np.ndarray, region: tuple[int, int, int, int], p: Picture, fi
 
 
 def _colour(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Hue, saturation and brightness; at times grey (two of three cameras here are grey) or slightly blurred."""
-    if rng.random() < 0.2:
+    """Hue, saturation and brightness, or grey; at times slightly blurred."""
+    if rng.random() < GREY_SHARE:
         image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
         gain, offset = rng.uniform(0.6, 1.4), rng.uniform(-20, 20)
         image = cv2.convertScaleAbs(image, alpha=gain, beta=max(offset, 0.0)) if offset > 0 else \
@@ -109,6 +116,35 @@ def single(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
     return View(_colour(canvas, rng), boxes, labels, ignore)
 
 
+def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
+    """As single(), but an edge cuts a person so that two to four fifths of them are left: as often without the head as at a
+    side. Half of the edges are those of a picture of 4:3 in its letterbox. Without a person large enough: single()."""
+    p = _turn(p, rng)
+    h, w = p.image.shape[:2]
+    tall = p.boxes[:, 3] - p.boxes[:, 1]
+    people = np.flatnonzero((p.labels == PERSON) & (tall >= 0.15 * h) & (tall >= 40))
+    canvas = np.full((size, size, 3), BORDER, np.uint8)
+    if not len(people):
+        boxes, labels, ignore = _place(canvas, (0, 0, size, size), p, view * _zoom(p.source, rng), rng)
+        return View(_colour(canvas, rng), boxes, labels, ignore)
+    border = size // 8 if rng.random() < 0.5 else 0
+    rw, rh = size, size - 2 * border
+    x0, y0, x1, y1 = (float(v) for v in p.boxes[rng.choice(people)])
+    kept, side = rng.uniform(0.4, 0.8), rng.integers(0, 4)
+    left = (y1 - y0) * (kept if side < 2 else 1)
+    scale = min(2.0, rng.uniform(0.25, 1.0) * rh / left)
+    dx, dy = rng.uniform(0.2, 0.8) * rw - scale * (x0 + x1) / 2, rng.uniform(0.3, 0.7) * rh - scale * (y0 + y1) / 2
+    if side < 2:
+        dy = -scale * (y1 - kept * (y1 - y0))
+    elif side == 2:
+        dx = -scale * (x1 - kept * (x1 - x0))
+    else:
+        dx = rw - scale * (x0 + kept * (x1 - x0))
+    region = (0, border, size, size - border)
+    boxes, labels, ignore = _place(canvas, region, p, scale * max(h, w), rng, corner=(dx, dy))
+    return View(_colour(canvas, rng), boxes, labels, ignore)
+
+
 def mosaic(four: list[Picture], size: int, view: int, rng: np.random.Generator) -> View:
     """Four pictures around a random centre."""
     canvas = np.full((size, size, 3), BORDER, np.uint8)
@@ -119,12 +155,13 @@ def mosaic(four: list[Picture], size: int, view: int, rng: np.random.Generator) 
     return View(_colour(canvas, rng), boxes, labels, ignore)
 
 
-def letterbox(image: np.ndarray, size: int) -> tuple[np.ndarray, float, float, float]:
-    """The whole picture, centred, as the detector sees it in flight. Returns view, scale, left and top border."""
+def letterbox(image: np.ndarray, width: int, height: int, centred: bool = True) -> tuple[np.ndarray, float, int, int]:
+    """The whole picture in an input of width x height, as the detector sees it in flight (fit_letterbox() of
+    detector/decode.h). Returns view, scale, left and top border."""
     h, w = image.shape[:2]
-    scale = size / max(h, w)
-    nw, nh = round(w * scale), round(h * scale)
-    left, top = (size - nw) // 2, (size - nh) // 2
-    canvas = np.full((size, size, 3), BORDER, np.uint8)
+    scale = min(width / w, height / h)
+    nw, nh = min(width, max(1, round(w * scale))), min(height, max(1, round(h * scale)))
+    left, top = ((width - nw) // 2, (height - nh) // 2) if centred else (0, 0)
+    canvas = np.full((height, width, 3), BORDER, np.uint8)
     canvas[top:top + nh, left:left + nw] = cv2.resize(image, (nw, nh), interpolation=cv2.INTER_LINEAR)
     return canvas, scale, left, top

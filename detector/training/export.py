@@ -1,49 +1,80 @@
 #!/usr/bin/env python3
-"""Writes a trained network as ONNX (opset 12, static shapes, norms folded) with its metadata, for OpenCV's DNN module."""
+"""Writes a trained network as ONNX (opset 12, static shapes, norms folded) with its metadata, for OpenCV's DNN module.
+
+  export.py --checkpoint RUN/checkpoint.pt --out DIR [--input 416 320 480x352]
+  export.py --weights MODEL.onnx --out DIR --input 480x352
+
+From a run: the weights that its choosing pictures liked best, or with --newest the newest average. --weights: those of a file
+that this program wrote, for another input.
+"""
 from __future__ import annotations
 
 import argparse
 import hashlib
+import inspect
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
 
-from model import CbamYolov5, load_coco
+import checkpoint
+import choose
+from model import CbamYolov5
 from names import CLASSES
+from weights import load_exported
 
 
-def export_onnx(net: CbamYolov5, size: int, path: Path) -> None:
-    """`net` must be fused and in evaluation mode. Input 1x3xSIZExSIZE RGB 0..1; output 1xNx(5 + classes)."""
-    torch.onnx.export(net, torch.zeros(1, 3, size, size), str(path), opset_version=12, input_names=["images"],
-                      output_names=["output"], do_constant_folding=True)
-    _inline_identities(path)
+def parse_input(text: str) -> tuple[int, int]:
+    """"416" is a square, "480x352" width and height."""
+    sides = text.split("x")
+    if len(sides) not in (1, 2) or not all(s.isdecimal() and int(s) % 32 == 0 and 32 <= int(s) <= 2048 for s in sides):
+        raise argparse.ArgumentTypeError(f"{text}: must be SIDE or WIDTHxHEIGHT, multiples of 32 from 32 to 2048")
+    return int(sides[0]), int(sides[-1])
 
 
-def _inline_identities(path: Path) -> None:
-    """The exporter shares equal initialisers through Identity nodes without an input, which OpenCV 4.6 cannot read."""
+def input_name(width: int, height: int) -> str:
+    return str(width) if width == height else f"{width}x{height}"
+
+
+def export_onnx(net: CbamYolov5, width: int, height: int, path: Path) -> None:
+    """`net` must be fused and in evaluation mode. Input 1x3xHEIGHTxWIDTH RGB 0..1; output 1xNx(5 + classes)."""
+    # Newer versions write another graph unless told not to.
+    old_way = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
+    torch.onnx.export(net, torch.zeros(1, 3, height, width), str(path), opset_version=12, input_names=["images"],
+                      output_names=["output"], do_constant_folding=True, **old_way)
+    _copy_shared(path)
+
+
+def _copy_shared(path: Path) -> None:
+    """The exporter shares equal initialisers through Identity nodes without an input, which OpenCV 4.6 cannot read: each
+    gets its own under its own name, which weights.load_exported() looks for."""
     model = onnx.load(str(path))
-    weights = {w.name for w in model.graph.initializer}
-    alias = {n.output[0]: n.input[0] for n in model.graph.node if n.op_type == "Identity" and n.input[0] in weights}
-    kept = [n for n in model.graph.node if n.output[0] not in alias]
-    for node in kept:
-        for i, name in enumerate(node.input):
-            node.input[i] = alias.get(name, name)
+    weights = {w.name: w for w in model.graph.initializer}
+    kept = []
+    for node in model.graph.node:
+        if node.op_type == "Identity" and node.input[0] in weights:
+            own = onnx.TensorProto()
+            own.CopyFrom(weights[node.input[0]])
+            own.name = node.output[0]
+            model.graph.initializer.append(own)
+        else:
+            kept.append(node)
     del model.graph.node[:]
     model.graph.node.extend(kept)
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
 
 
-def write_metadata(model: Path, size: int) -> None:
+def write_metadata(model: Path, width: int, height: int) -> None:
     """The TOML file that detector/model_info.h reads, beside the model."""
     quoted = ", ".join(f'"{c}"' for c in CLASSES)
     model.with_suffix(".toml").write_text(f"""# Written by detector/training/export.py beside the model of the same name.
 layout = "yolov5"
-input_width = {size}
-input_height = {size}
+input_width = {width}
+input_height = {height}
 channel_order = "rgb"
 scale = 0.00392156862745098
 letterbox = "centre"
@@ -54,56 +85,71 @@ sha256 = "{hashlib.sha256(model.read_bytes()).hexdigest()}"
 """)
 
 
-def reference_picture(size: int) -> np.ndarray:
-    """1 x 3 x size x size, every pixel from its place, so that the test in C++ makes the same without a file."""
-    y, x = np.mgrid[:size, :size]
+def reference_picture(width: int, height: int) -> np.ndarray:
+    """1 x 3 x height x width, every pixel from its place, so that the test in C++ makes the same without a file."""
+    y, x = np.mgrid[:height, :width]
     planes = [((x * 7 + y * 13 + c * 29 + (x * y) // 16) & 255).astype(np.float32) / np.float32(255) for c in range(3)]
     return np.stack(planes)[None]
 
 
 @torch.no_grad()
-def write_reference(net: CbamYolov5, size: int, path: Path, every: int = 37) -> None:
+def write_reference(net: CbamYolov5, width: int, height: int, path: Path, every: int = 37) -> None:
     """What PyTorch says to reference_picture: rows, values a row, stride (int32), then every `every`th row (float32)."""
-    y = net(torch.from_numpy(reference_picture(size)))[0].numpy()
+    y = net(torch.from_numpy(reference_picture(width, height)))[0].numpy()
     path.write_bytes(struct.pack("<3i", y.shape[0], y.shape[1], every) + y[::every].astype("<f4").tobytes())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--checkpoint", required=True, type=Path, help="checkpoint.pt of train.py; the average is exported")
-    parser.add_argument("--out", required=True, type=Path, help="folder for NAME_SIZE.onnx and NAME_SIZE.toml")
-    parser.add_argument("--reference", type=Path, help="folder for NAME_SIZE.reference, PyTorch's output for the tests")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[416, 320])
-    parser.add_argument("--blend", type=float, default=1.0,
-                        help="weight of the trained network against the COCO weights it started from (Wortsman et al., "
-                        "Robust fine-tuning of zero-shot models, 2022): below 1 keeps more of what COCO taught")
-    parser.add_argument("--coco", type=Path, help="the COCO arrays, for --blend")
-    args = parser.parse_args()
-    if not 0 < args.blend <= 1 or (args.blend < 1 and args.coco is None):
-        parser.error("--blend must be above 0 and at most 1, and below 1 needs --coco")
-    held = torch.load(args.checkpoint, map_location="cpu")
+def network_of_run(path: Path, newest: bool) -> tuple[CbamYolov5, str, dict]:
+    """The network of a run, in evaluation mode; what to say of it; the spread of its gates as measured in training."""
+    held = checkpoint.load(path)
+    best = held["best"]
+    if not newest and best is None:
+        raise ValueError(f"{path}: nothing was chosen yet; --newest takes the newest")
     net = CbamYolov5(held["size"], attention=held["attention"])
-    if args.blend < 1:
-        load_coco(net, str(args.coco))
-        start = net.state_dict()
-        held["average"] = {k: start[k].lerp(v, args.blend) if v.dtype.is_floating_point else v
-                           for k, v in held["average"].items()}
-    net.load_state_dict(held["average"])
-    net.eval()
+    net.load_state_dict(held["average"] if newest else best["average"])
+    step = held["step"] if newest else best["step"]
+    return net.eval(), f"step {step} of {held['options']['steps']}", {} if newest else best["gates"]
+
+
+def name_of(net: CbamYolov5) -> str:
+    return ("cbam_" if net.cbam else "") + ("yolov5n" if net.model[0].conv.out_channels == 16 else "yolov5s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--checkpoint", type=Path, help="checkpoint.pt of train.py")
+    source.add_argument("--weights", type=Path, help="a file that this program wrote")
+    parser.add_argument("--newest", action="store_true", help="of --checkpoint: not what was chosen but the newest average")
+    parser.add_argument("--out", required=True, type=Path, help="folder for NAME_INPUT.onnx and NAME_INPUT.toml")
+    parser.add_argument("--reference", type=Path, help="folder for NAME_INPUT.reference, PyTorch's output for the tests")
+    parser.add_argument("--input", type=parse_input, nargs="+", default=[(416, 416), (320, 320), (480, 352)],
+                        metavar="SIDE|WIDTHxHEIGHT")
+    parser.add_argument("--data", type=Path, help="folder of the sets: measures the spread of the gates anew")
+    args = parser.parse_args()
+    if args.checkpoint:
+        net, what, gates = network_of_run(args.checkpoint, args.newest)
+    else:
+        net, what, gates = load_exported(str(args.weights)), f"weights of {args.weights.name}", {}
+    if args.data:
+        gates = choose.gate_spreads(net, choose.pictures_that_choose(args.data), torch.device("cpu"))
+    args.out.mkdir(parents=True, exist_ok=True)
     if args.reference:  # from the network as it was trained, before anything is folded
-        for size in args.sizes:
-            write_reference(net, size, args.reference / f"{name(held)}_{size}.reference")
+        args.reference.mkdir(parents=True, exist_ok=True)
+        for width, height in args.input:
+            write_reference(net, width, height, args.reference / f"{name_of(net)}_{input_name(width, height)}.reference")
     net.fuse()
-    for size in args.sizes:
-        path = args.out / f"{name(held)}_{size}.onnx"
-        export_onnx(net, size, path)
-        write_metadata(path, size)
-        print(f"{path}: {path.stat().st_size} bytes, after {held['step']} steps")
-
-
-def name(held: dict) -> str:
-    return ("cbam_" if held["attention"] else "") + f"yolov5{held['size']}"
+    for width, height in args.input:
+        path = args.out / f"{name_of(net)}_{input_name(width, height)}.onnx"
+        export_onnx(net, width, height, path)
+        write_metadata(path, width, height)
+        print(f"{path}: {path.stat().st_size} bytes, {what}")
+    if net.cbam:
+        print(choose.told(gates) if gates else "spread of the gates: not measured, give --data")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (ValueError, OSError) as e:
+        sys.exit(f"export.py: {e}")

@@ -36,11 +36,11 @@ def assign(boxes: torch.Tensor, level: int, ny: int, nx: int) -> tuple[torch.Ten
     which can reach it as well because a cell predicts centres half a cell beyond itself.
     """
     n = boxes.shape[0]
-    anchors = torch.tensor(ANCHORS[level], dtype=boxes.dtype)
+    anchors = torch.tensor(ANCHORS[level], dtype=boxes.dtype, device=boxes.device)
     ratio = boxes[:, None, 2:] / anchors[None]
     box, anchor = torch.nonzero(torch.maximum(ratio, 1 / ratio).amax(2) < SHAPE_RATIO, as_tuple=True)
     if n == 0 or box.numel() == 0:
-        empty = torch.zeros(0, dtype=torch.long)
+        empty = torch.zeros(0, dtype=torch.long, device=boxes.device)
         return empty, empty, empty, empty
     centre = boxes[box, :2] / STRIDES[level]
     cell = centre.floor()
@@ -54,8 +54,9 @@ def assign(boxes: torch.Tensor, level: int, ny: int, nx: int) -> tuple[torch.Ten
     return box[inside], anchor[inside], row[inside], column[inside]
 
 
-def _ignored_cells(ignore: torch.Tensor, batch: int, level: int, ny: int, nx: int) -> torch.Tensor:
-    """batch x rows x columns, true where the cell's centre lies in an ignored region (picture, x0, y0, x1, y1)."""
+def ignored_cells(ignore: torch.Tensor, batch: int, level: int, ny: int, nx: int) -> torch.Tensor:
+    """batch x rows x columns, true where the cell touches an ignored region (picture, x0, y0, x1, y1). On the processor:
+    it is filled region by region."""
     mask = torch.zeros(batch, ny, nx, dtype=torch.bool)
     s = STRIDES[level]
     for b, x0, y0, x1, y1 in ignore.tolist():
@@ -64,22 +65,24 @@ def _ignored_cells(ignore: torch.Tensor, batch: int, level: int, ny: int, nx: in
 
 
 def detection_loss(raw: list[torch.Tensor], targets: torch.Tensor, ignore: torch.Tensor,
-                   teacher: list[torch.Tensor] | None, taught: int) -> tuple[torch.Tensor, dict[str, float]]:
+                   teacher: list[torch.Tensor] | None, taught: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
     """`targets`: n x 6 (picture, label, cx, cy, w, h in input pixels); `ignore`: m x 5 (picture, x0, y0, x1, y1).
 
-    The first `taught` pictures of the batch are COCO pictures that `teacher` (raw maps) has seen too: there, what the
-    teacher holds for an object counts as one, because those pictures show objects of 74 more classes.
+    All on one device, but `ignore`, which stays on the processor. The first `taught` pictures of the batch are COCO pictures
+    that `teacher` (raw maps) has seen too: there, what the teacher holds for an object counts as one, because those pictures
+    show objects of 74 more classes. The parts of the loss come back on the device: reading them waits for it.
     """
-    batch = raw[0].shape[0]
-    box_loss = object_loss = class_loss = distil_loss = torch.zeros(())
+    batch, device = raw[0].shape[0], raw[0].device
+    box_loss = object_loss = class_loss = distil_loss = torch.zeros((), device=device)
     picture = targets[:, 0].long()
     for level, y in enumerate(raw):
         ny, nx = y.shape[2:4]
         with torch.no_grad():
-            wanted = torch.zeros_like(y[..., 4])
-            weight = (~_ignored_cells(ignore, batch, level, ny, nx))[:, None].expand_as(wanted).to(y.dtype).clone()
-            if teacher is not None and taught:
-                t = teacher[level].sigmoid()
+            wanted = torch.zeros(batch, 3, ny, nx, dtype=y.dtype, device=device)
+            ignored = ignored_cells(ignore, batch, level, ny, nx).to(device)
+            weight = (~ignored)[:, None].expand_as(wanted).to(y.dtype).clone()
+            t = teacher[level].sigmoid() if teacher is not None and taught else None
+            if t is not None:
                 wanted[:taught] = t[..., 4]
         box, anchor, row, column = assign(targets[:, 2:], level, ny, nx)
         if box.numel():
@@ -87,17 +90,15 @@ def detection_loss(raw: list[torch.Tensor], targets: torch.Tensor, ignore: torch
             chosen = y[b, anchor, row, column]
             p = chosen.sigmoid()
             cell = torch.stack((column, row), 1).to(y.dtype)
-            anchors = torch.tensor(ANCHORS[level], dtype=y.dtype)[anchor]
+            anchors = torch.tensor(ANCHORS[level], dtype=y.dtype, device=device)[anchor]
             predicted = torch.cat(((p[:, :2] * 2 - 0.5 + cell) * STRIDES[level], (p[:, 2:4] * 2) ** 2 * anchors), 1)
             iou = complete_iou(predicted, targets[box, 2:])
             box_loss = box_loss + (1 - iou).mean()
             with torch.no_grad():
-                # Where two boxes claim one anchor, the better fit sets its objectness.
-                reached = iou.clamp(min=0)
-                order = reached.argsort()
-                b_, a_, r_, c_ = (v[order] for v in (b, anchor, row, column))
-                wanted[b_, a_, r_, c_] = torch.maximum(wanted[b_, a_, r_, c_], reached[order])
-                weight[b_, a_, r_, c_] = 1
+                # Where two boxes claim one anchor, the better fit sets its objectness, in whatever order they come.
+                place = ((b * 3 + anchor) * ny + row) * nx + column
+                wanted.view(-1).scatter_reduce_(0, place, iou.clamp(min=0).to(wanted.dtype), reduce="amax")
+                weight[b, anchor, row, column] = 1
                 label = targets[box, 1].long()
                 kind = F.one_hot(torch.where(label == VEHICLE, VEHICLE_CLASSES[0], label), y.shape[-1] - 5).to(y.dtype)
                 counted = torch.ones_like(kind)
@@ -107,13 +108,12 @@ def detection_loss(raw: list[torch.Tensor], targets: torch.Tensor, ignore: torch
             class_loss = class_loss + loss / counted.sum().clamp(min=1)
         loss = F.binary_cross_entropy_with_logits(y[..., 4], wanted, weight=weight)
         object_loss = object_loss + OBJECT_BALANCE[level] * loss
-        if teacher is not None and taught:
+        if t is not None:
             sure = t[..., 4]
             classes = F.binary_cross_entropy_with_logits(y[:taught, ..., 5:], t[..., 5:], reduction="none").mean(-1)
-            place = (y[:taught, ..., :4].sigmoid() - t[..., :4]).abs().sum(-1)
-            distil_loss = distil_loss + (sure * (classes + place)).sum() / sure.sum().clamp(min=1)
+            shift = (y[:taught, ..., :4].sigmoid() - t[..., :4]).abs().sum(-1)
+            distil_loss = distil_loss + (sure * (classes + shift)).sum() / sure.sum().clamp(min=1)
     total = BOX_GAIN * box_loss + OBJECT_GAIN * object_loss + CLASS_GAIN * class_loss
     total = total + DISTIL_GAIN * BOX_GAIN * distil_loss
-    parts = {"box": float(box_loss), "object": float(object_loss), "class": float(class_loss),
-             "distil": float(distil_loss)}
-    return total * batch, parts
+    parts = {"box": box_loss, "object": object_loss, "class": class_loss, "distil": distil_loss}
+    return total * batch, {k: v.detach() for k, v in parts.items()}

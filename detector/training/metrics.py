@@ -34,6 +34,18 @@ def nms(boxes: np.ndarray, scores: np.ndarray, labels: np.ndarray, iou: float = 
     return np.array(kept, np.int64)
 
 
+def match(boxes: np.ndarray, truth: np.ndarray, least: float = 0.5) -> np.ndarray:
+    """For each box, surest first, the number of the annotation that it hits and none before it has taken; -1: none."""
+    iou, free = iou_matrix(boxes, truth), np.ones(len(truth), bool)
+    out = np.full(len(boxes), -1)
+    for i in range(len(boxes)):
+        candidates = np.where(free, iou[i], 0)
+        if len(truth) and candidates.max() >= least:
+            out[i] = candidates.argmax()
+            free[out[i]] = False
+    return out
+
+
 @dataclass
 class ClassScore:
     """Collects one class over many pictures."""
@@ -46,16 +58,8 @@ class ClassScore:
         """One picture. Boxes that hit no annotation but lie at least half in an ignored region count neither way."""
         order = np.argsort(-scores, kind="stable")
         boxes, scores = boxes[order], scores[order]
-        hit = np.zeros((len(boxes), len(IOU_STEPS)), bool)
-        iou = iou_matrix(boxes, truth)
-        for k, step in enumerate(IOU_STEPS):
-            free = np.ones(len(truth), bool)
-            for i in range(len(boxes)):
-                candidates = np.where(free, iou[i], 0)
-                if len(truth) and candidates.max() >= step:
-                    free[candidates.argmax()] = False
-                    hit[i, k] = True
-        counted = hit[:, 0] | ~_inside(boxes, ignore)
+        hit = np.stack([match(boxes, truth, step) >= 0 for step in IOU_STEPS], 1)
+        counted = hit[:, 0] | ~inside(boxes, ignore)
         self.scores.append(scores[counted])
         self.hits.append(hit[counted])
         self.truths += len(truth)
@@ -105,7 +109,8 @@ class FlyingScore:
                 "boxes": said, "objects": self.truths}
 
 
-def _inside(boxes: np.ndarray, regions: np.ndarray) -> np.ndarray:
+def inside(boxes: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    """Which boxes lie at least half in one of the regions."""
     if not len(regions) or not len(boxes):
         return np.zeros(len(boxes), bool)
     low, high = np.maximum(boxes[:, None, :2], regions[None, :, :2]), np.minimum(boxes[:, None, 2:], regions[None, :, 2:])

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import nn
 
-from names import CLASSES, COCO_INDEX, STRIDES
+from names import CLASSES, STRIDES
 
 ANCHORS = (  # pixels of the network's input; three for each stride
     ((10, 13), (16, 30), (33, 23)),
@@ -22,11 +21,9 @@ ANCHORS = (  # pixels of the network's input; three for each stride
 )
 # Layers that the neck reads, with the width of each at width multiple 1.
 ATTENTION_AFTER = {4: 256, 6: 512, 9: 1024}
-# Who consumes the output of an attended layer first; their weights take up the constant that the gates start with.
-_ATTENTION_CONSUMERS = {4: ("5.conv", "17.cv1.conv", "17.cv2.conv"), 6: ("7.conv", "13.cv1.conv", "13.cv2.conv"),
-                        9: ("10.conv",)}
-# Pre-activation that both gates start with: sigmoid(2) = 0.88 still has a tenth of its slope to learn with.
-_GATE_START = 2.0
+# How far the last layers of the gates are from zero at the start: enough to have a slope of their own to learn along, and so
+# little that the network still finds what COCO taught it (a gate then differs from place to place by some hundredths).
+_GATE_WEIGHTS = 0.3
 
 
 @dataclass(frozen=True)
@@ -115,8 +112,9 @@ class Cbam(nn.Module):
     """Channel attention, then spatial attention (Woo et al., equations 1 to 3).
 
     Channel: sigmoid(MLP(avg) + MLP(max)), one MLP with reduction 16 for both poolings. Spatial: sigmoid of a 7x7
-    convolution over the mean and the maximum across channels. The last layer of each gate starts with zero weights and a
-    bias, so that the block starts as a multiplication by `start_gain`, which the loader takes out of the next layers.
+    convolution over the mean and the maximum across channels. Both gates start around a half, where a sigmoid is steepest,
+    with small weights: the block starts as nearly a multiplication by `start_gain`, which load_coco() takes out of the
+    next layers. With zero weights at 0.88, as they once were, the gates stayed constants.
     """
 
     def __init__(self, c: int, reduction: int = 16):
@@ -125,24 +123,35 @@ class Cbam(nn.Module):
         self.mlp = nn.Sequential(nn.Conv2d(c, hidden, 1), nn.ReLU(), nn.Conv2d(hidden, c, 1))
         self.spatial = nn.Conv2d(2, 1, 7, padding=3)
         with torch.no_grad():
-            self.mlp[2].weight.zero_()
-            self.mlp[2].bias.fill_(_GATE_START / 2)  # counted twice: once for each pooling
-            self.spatial.weight.zero_()
-            self.spatial.bias.fill_(_GATE_START)
+            self.mlp[2].weight.normal_(0, _GATE_WEIGHTS / math.sqrt(hidden))
+            self.mlp[2].bias.zero_()
+            self.spatial.weight.normal_(0, _GATE_WEIGHTS / math.sqrt(2 * 7 * 7))
+            self.spatial.bias.zero_()
 
     @staticmethod
     def start_gain() -> float:
-        return (1 / (1 + math.exp(-_GATE_START))) ** 2
+        return 0.5 * 0.5
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        x = x * self._channel(x)
+        return x * self._spatial(x)
+
+    def gates(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The channel gate (batch x channels x 1 x 1) and, of what it leaves, the spatial one (batch x 1 x rows x columns)."""
+        channel = self._channel(x)
+        return channel, self._spatial(x * channel)
+
+    def _channel(self, x: torch.Tensor) -> torch.Tensor:
         average = nn.functional.adaptive_avg_pool2d(x, 1)
         largest = nn.functional.adaptive_max_pool2d(x, 1)
-        x = x * torch.sigmoid(self.mlp(average) + self.mlp(largest))
+        return torch.sigmoid(self.mlp(average) + self.mlp(largest))
+
+    def _spatial(self, x: torch.Tensor) -> torch.Tensor:
         c = int(x.shape[1])
         # The mean as a convolution: for a mean across channels OpenCV would transpose the whole map.
         mean = nn.functional.conv2d(x, torch.full((1, c, 1, 1), 1 / c, dtype=x.dtype, device=x.device))
         maps = torch.cat((mean, x.amax(1, keepdim=True)), 1)
-        return x * torch.sigmoid(self.spatial(maps))
+        return torch.sigmoid(self.spatial(maps))
 
 
 class Heads(nn.Module):
@@ -231,35 +240,3 @@ class CbamYolov5(nn.Module):
             if isinstance(module, ConvBnAct):
                 module.fuse()
         return self
-
-
-@torch.no_grad()
-def load_coco(net: CbamYolov5, npz_path: str) -> None:
-    """Fills `net` from COCO arrays named as in YOLOv5 (80 classes). A net of six classes takes the six rows of the heads.
-
-    Every array must find its place and every parameter but the attention's must be filled, or ValueError says which.
-    """
-    arrays = np.load(npz_path)
-    state = {k: torch.from_numpy(arrays[k].astype(np.float32)) for k in arrays.files
-             if not k.endswith(("num_batches_tracked", ".anchors"))}
-    values = net.model[24].values
-    if values != 85:
-        if values != 5 + len(COCO_INDEX):
-            raise ValueError(f"{npz_path}: a net of {values - 5} classes cannot start from COCO's heads")
-        rows = torch.tensor([0, 1, 2, 3, 4] + [5 + i for i in COCO_INDEX])
-        for key in [k for k in state if k.startswith("model.24.m.")]:
-            state[key] = state[key].view(3, 85, *state[key].shape[1:])[:, rows].flatten(0, 1)
-    for layer, consumers in _ATTENTION_CONSUMERS.items():
-        if str(layer) not in net.cbam:
-            continue
-        for consumer in consumers:
-            key = f"model.{consumer}.weight"
-            weight = state[key].clone()
-            # Layers 13 and 17 read the upsampled map first and the attended one second; the others only the attended one.
-            start = weight.shape[1] // 2 if consumer.startswith(("13", "17")) else 0
-            weight[:, start:] /= Cbam.start_gain()
-            state[key] = weight
-    missing, unexpected = net.load_state_dict(state, strict=False)
-    missing = [k for k in missing if not k.startswith("cbam.") and not k.endswith("num_batches_tracked")]
-    if missing or unexpected:
-        raise ValueError(f"{npz_path}: missing {missing}, unexpected {unexpected}")

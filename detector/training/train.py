@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
-"""Trains CBAM-YOLOv5 from the COCO arrays on the sets of one data folder. Stops and goes on: run the same command again.
+"""Trains CBAM-YOLOv5 on the sets of one data folder. Stops and goes on: run the same command again.
 
-Every step draws its pictures from a generator seeded by (seed, step), so a run that was cut off and continued sees what
-an unbroken one sees.
+Every step draws its views from a generator seeded by (seed, step), so a run that was cut off and continued sees what an
+unbroken one sees, and on the processor ends with the same weights to the bit. What the pictures that choose (split.py) like
+best is kept beside the newest and is what export.py takes.
 """
 from __future__ import annotations
 
 import argparse
 import json
 import math
-import os
+import signal
+import sys
 import time
 from pathlib import Path
 
@@ -17,78 +19,57 @@ import cv2
 import numpy as np
 import torch
 
+import batches
+import checkpoint
+import choose
 import data
-from augment import View, letterbox, mosaic, single
+import render
 from data import Picture
 from loss import detection_loss
-from model import CbamYolov5, load_coco
+from model import CbamYolov5
+from network import Network
+from weights import load_coco
 
-MOSAIC_SHARE = 0.4
 PEOPLE_UNLABELLED = ("aerial_cars", "cats_topdown")
+# CBAM is new where all else was learnt on COCO: it learns at ten times the rate, or its gates stay where they began.
+ATTENTION_RATE = 10.0
+INTERRUPTED = 3  # exit code: stopped by a signal, the checkpoint is written
+# Not part of what a run is: where, how fast, how often written.
+ELSEWHERE = ("data", "out", "simulated", "device", "threads", "workers", "save_every_s")
 
 
-def draw_batch(pictures: dict[str, list[Picture]], args: argparse.Namespace, step: int) -> list[View]:
-    """COCO comes first: the teacher sees it too."""
-    rng = np.random.default_rng((args.seed, step))
-    views = []
-    for source, count in data.sources_of_step(step, args.batch):
-        pool = pictures[source]
-        for _ in range(count):
-            if rng.random() < MOSAIC_SHARE:
-                four = [pool[i] for i in rng.integers(0, len(pool), 4)]
-                views.append(mosaic(four, args.window, args.view, rng))
-            else:
-                views.append(single(pool[rng.integers(0, len(pool))], args.window, args.view, rng))
-    return views
-
-
-def to_tensors(views: list[View]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    images = torch.from_numpy(np.stack([v.image for v in views])).permute(0, 3, 1, 2).float() / 255
-    targets, ignore = [np.zeros((0, 6), np.float32)], [np.zeros((0, 5), np.float32)]
-    for i, v in enumerate(views):
-        n = len(v.labels)
-        centre, extent = (v.boxes[:, :2] + v.boxes[:, 2:]) / 2, v.boxes[:, 2:] - v.boxes[:, :2]
-        targets.append(np.concatenate((np.full((n, 1), i), v.labels[:, None], centre, extent), 1))
-        ignore.append(np.concatenate((np.full((len(v.ignore), 1), i), v.ignore), 1))
-    as_tensor = lambda rows: torch.from_numpy(np.concatenate(rows).astype(np.float32))  # noqa: E731
-    return images.contiguous(), as_tensor(targets), as_tensor(ignore)
-
-
-@torch.no_grad()
-def find_unlabelled_people(teacher: CbamYolov5, pictures: list[Picture], size: int, threshold: float = 0.3) -> int:
-    """Sets that label vehicles only still show people: where the COCO network sees one, nothing is learnt."""
-    found = 0
+def find_unlabelled_people(model: Path, pictures: list[Picture], threshold: float = 0.3) -> int:
+    """Sets that label vehicles only still show people: where a network of COCO sees one, nothing is learnt."""
+    network, found = Network(model), 0
     for p in pictures:
-        view, scale, left, top = letterbox(p.image, size)
-        x = torch.from_numpy(view).permute(2, 0, 1)[None].float() / 255
-        y = teacher(x)[0]
-        y = y[y[:, 4] * y[:, 5] > threshold].numpy()
-        half = y[:, 2:4] / 2
-        boxes = (np.concatenate((y[:, :2] - half, y[:, :2] + half), 1) - (left, top, left, top)) / scale
-        p.ignore = np.concatenate((p.ignore, boxes.astype(np.float32)))
+        boxes, scores = network.detect(p.image, threshold)
+        boxes = boxes[scores[:, 0] > threshold].astype(np.float32)
+        p.ignore = np.concatenate((p.ignore, boxes))
         found += len(boxes)
     return found
 
 
-def parameter_groups(net: CbamYolov5, frozen: int, lr: float) -> list[dict]:
-    """Attention and heads learn at the full rate, the neck at a half, the backbone at a fifth, the first stages not."""
-    groups: dict[float, list[torch.nn.Parameter]] = {1.0: [], 0.5: [], 0.2: []}
+def parameter_groups(net: CbamYolov5, frozen: int, lr: float, scratch: bool) -> list[dict]:
+    """Heads learn at the full rate, the neck at a half, the backbone at a fifth, the first stages not; from scratch all of
+    them at the full rate. Attention at ten times that, and its weights are not drawn to zero."""
+    groups: dict[float, list[torch.nn.Parameter]] = {ATTENTION_RATE: [], 1.0: [], 0.5: [], 0.2: []}
     for name, parameter in net.named_parameters():
         if name.startswith("cbam."):
-            groups[1.0].append(parameter)
+            groups[ATTENTION_RATE].append(parameter)
             continue
         layer = int(name.split(".")[1])
         if layer < frozen:
             parameter.requires_grad_(False)
         else:
-            groups[1.0 if layer == 24 else 0.5 if layer >= 10 else 0.2].append(parameter)
-    return [{"params": p, "lr": lr * share, "share": share} for share, p in groups.items()]
+            groups[1.0 if scratch or layer == 24 else 0.5 if layer >= 10 else 0.2].append(parameter)
+    return [{"params": p, "lr": lr * share, "share": share, "weight_decay": 0.0 if share == ATTENTION_RATE else 5e-4}
+            for share, p in groups.items() if p]
 
 
 class Average:
-    """Exponential moving average of every number of the network; the average is what is exported."""
+    """Exponential moving average of every number of the network; the average is what is scored and exported."""
 
-    def __init__(self, net: CbamYolov5, decay: float):
+    def __init__(self, net: CbamYolov5, decay: float = 0.997):
         self.decay, self.state = decay, {k: v.detach().clone() for k, v in net.state_dict().items()}
 
     @torch.no_grad()
@@ -97,13 +78,8 @@ class Average:
         for k, v in net.state_dict().items():
             if v.dtype.is_floating_point:
                 self.state[k].lerp_(v, 1 - decay)
-
-
-def save(path: Path, **content) -> None:
-    """All or nothing: a run that is killed while writing leaves the previous file."""
-    part = path.with_suffix(".part")
-    torch.save(content, part)
-    os.replace(part, path)
+            else:
+                self.state[k].copy_(v)
 
 
 def learning_rate(step: int, steps: int, lr: float, warmup: int = 20) -> float:
@@ -112,87 +88,176 @@ def learning_rate(step: int, steps: int, lr: float, warmup: int = 20) -> float:
     return lr * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup))))
 
 
-def train(args: argparse.Namespace) -> None:
+def load_pictures(args: argparse.Namespace) -> dict[str, list[Picture]]:
+    root = Path(args.data)
+    pictures = {s: data.load(root, s, "train") for s in data.SETS}
+    if args.simulated:
+        render.check_to_train_on(Path(args.simulated))
+        pictures["simulated"] = data.load(Path(args.simulated), "simulated", "train")
+    if args.people != "none":
+        for source in PEOPLE_UNLABELLED:
+            found = find_unlabelled_people(root / "models" / args.people, pictures[source])
+            print(f"{source}: {found} unlabelled people", flush=True)
+    for source, of in pictures.items():
+        if not of:
+            raise ValueError(f"{source}: no pictures to train on")
+    return pictures
+
+
+class Run:
+    """A network as it learns. State is what a checkpoint holds; all else follows from the options."""
+
+    def __init__(self, args: argparse.Namespace):
+        self.args, self.device = args, torch.device(args.device)
+        self.scratch = args.start == "scratch"
+        self.net, self.teacher = CbamYolov5(args.size, attention=not args.no_attention), None
+        if not self.scratch:
+            arrays = str(Path(args.data) / "models" / f"yolov5{args.size}_coco_state.npz")
+            load_coco(self.net, arrays)
+            self.teacher = CbamYolov5(args.size, attention=False)
+            load_coco(self.teacher, arrays)
+            self.teacher.eval().fuse().to(self.device)
+        self.net.to(self.device)
+        # From COCO the norms keep its statistics; from scratch there are none yet.
+        self.net.train(self.scratch)
+        self.groups = parameter_groups(self.net, 0 if self.scratch else args.frozen, args.lr, self.scratch)
+        self.optimiser = torch.optim.AdamW(self.groups)
+        self.average = Average(self.net)
+        self.step, self.best, self.sums = 0, None, {}
+
+    def state(self) -> dict:
+        return {"step": self.step, "net": self.net.state_dict(), "average": self.average.state, "best": self.best,
+                "sums": self.sums, "optimiser": self.optimiser.state_dict(), "size": self.args.size,
+                "attention": not self.args.no_attention}
+
+    def take(self, held: dict) -> None:
+        self.net.load_state_dict(held["net"])
+        self.average.state = {k: v.to(self.device) for k, v in held["average"].items()}
+        self.optimiser.load_state_dict(held["optimiser"])
+        self.step, self.best = held["step"], held["best"]
+        self.sums = {k: v.to(self.device) for k, v in held["sums"].items()}
+
+    def learn(self, images: torch.Tensor, targets: torch.Tensor, ignore: torch.Tensor, coco: int) -> None:
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate(self.step, self.args.steps, self.args.lr) * group["share"]
+        images = images.to(self.device, non_blocking=True).float() / 255
+        taught = None
+        if self.teacher is not None:
+            with torch.no_grad():
+                taught = self.teacher.raw(images[:coco])
+        loss, parts = detection_loss(self.net.raw(images), targets.to(self.device), ignore, taught, coco)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_([p for g in self.groups for p in g["params"]], 10.0)
+        self.optimiser.step()
+        self.average.update(self.net, self.step)
+        for key, value in parts.items():
+            self.sums[key] = self.sums.get(key, 0.0) + value
+        self.step += 1
+
+    def tell(self, seconds_a_step: float) -> None:
+        print(f"step {self.step}/{self.args.steps} " + " ".join(f"{k} {float(v) / 10:.4f}" for k, v in self.sums.items())
+              + f" {seconds_a_step:.2f} s/step", flush=True)
+        self.sums = {}
+
+    def score(self, pictures: dict[str, list[Picture]]) -> None:
+        """Keeps the average if the pictures that choose find none better so far."""
+        net = CbamYolov5(self.args.size, attention=not self.args.no_attention)
+        net.load_state_dict(self.average.state)
+        net.to(self.device).eval()
+        figures = choose.figures(net, pictures, self.args.view, self.device)
+        spreads = choose.gate_spreads(net, pictures, self.device)
+        mean = float(np.mean(list(figures.values())))
+        print(f"step {self.step} chooses {mean:.4f} (" + ", ".join(f"{k} {v:.3f}" for k, v in figures.items())
+              + f"); {choose.told(spreads)}", flush=True)
+        if self.best is None or mean > self.best["score"]:
+            self.best = {"step": self.step, "score": mean, "figures": figures, "gates": spreads,
+                         "average": {k: v.detach().cpu().clone() for k, v in self.average.state.items()}}
+
+
+def identity(args: argparse.Namespace) -> dict:
+    """The options that a run is, without the data."""
+    return {k: v for k, v in vars(args).items() if k not in ELSEWHERE} | {"with_simulated": bool(args.simulated)}
+
+
+def train(args: argparse.Namespace) -> int:
     torch.manual_seed(args.seed)
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(1)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    weights = Path(args.data) / "models" / f"yolov5{args.size}_coco_state.npz"
-    net = CbamYolov5(args.size, attention=not args.no_attention)
-    load_coco(net, str(weights))
-    teacher = CbamYolov5(args.size, attention=False)
-    load_coco(teacher, str(weights))
-    teacher.eval().fuse()
-    pictures = {s: data.load(Path(args.data), s, held_out=False) for s in data.SETS}
-    for source in PEOPLE_UNLABELLED:
-        print(f"{source}: {find_unlabelled_people(teacher, pictures[source], args.view)} unlabelled people", flush=True)
+    pictures = load_pictures(args)
+    choosing = choose.pictures_that_choose(Path(args.data))
+    options = identity(args) | {"pictures_sha256": data.digest(pictures)}
+    run, path = Run(args), out / "checkpoint.pt"
+    if path.exists():
+        run.take(checkpoint.load_own(path, options))
+        print(f"goes on from step {run.step}", flush=True)
     (out / "run.json").write_text(json.dumps(
-        {**vars(args), "pictures": {s: [p.name for p in v] for s, v in pictures.items()}}, indent=1, default=str))
-
-    groups = parameter_groups(net, args.frozen, args.lr)
-    optimiser = torch.optim.AdamW(groups, weight_decay=5e-4)
-    average = Average(net, decay=0.997)
-    first = 0
-    checkpoint = out / "checkpoint.pt"
-    if checkpoint.exists():
-        held = torch.load(checkpoint, map_location="cpu")
-        net.load_state_dict(held["net"])
-        average.state = held["average"]
-        optimiser.load_state_dict(held["optimiser"])
-        first = held["step"]
-        print(f"goes on from step {first}", flush=True)
-    # The norms keep COCO's statistics: a small batch of four unlike sets would give worse ones.
-    net.eval()
-    coco = args.batch // 2
-    sums: dict[str, float] = {}
-    began = last_saved = time.monotonic()
-    for step in range(first, args.steps):
-        for group in optimiser.param_groups:
-            group["lr"] = learning_rate(step, args.steps, args.lr) * group["share"]
-        images, targets, ignore = to_tensors(draw_batch(pictures, args, step))
-        with torch.no_grad():
-            taught = teacher.raw(images[:coco])
-        loss, parts = detection_loss(net.raw(images), targets, ignore, taught, coco)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_([p for g in groups for p in g["params"]], 10.0)
-        optimiser.step()
-        average.update(net, step)
-        for key, value in parts.items():
-            sums[key] = sums.get(key, 0.0) + value
-        done = step + 1
-        if done % 10 == 0:
-            rate = (time.monotonic() - began) / (done - first)
-            print(f"step {done}/{args.steps} " + " ".join(f"{k} {v / 10:.4f}" for k, v in sums.items())
-                  + f" {rate:.2f} s/step", flush=True)
-            sums = {}
-        if time.monotonic() - last_saved > args.save_every_s or done == args.steps:
-            save(checkpoint, step=done, net=net.state_dict(), average=average.state,
-                 optimiser=optimiser.state_dict(), size=args.size, attention=not args.no_attention)
+        {**vars(args), **options, "torch": torch.__version__,
+         "pictures": {s: [p.name for p in v] for s, v in pictures.items()}}, indent=1, default=str))
+    stop: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda n, _: stop.append(n))
+    recipe = batches.Recipe(args.seed, args.batch, args.window, args.view)
+    coco = data.sources_of_step(0, args.batch, bool(args.simulated))[0][1]
+    first, began = run.step, time.monotonic()
+    last_saved = began
+    for tensors in batches.steps(pictures, recipe, first, args.steps, args.workers):
+        run.learn(*tensors, coco)
+        if run.step % 10 == 0:
+            run.tell((time.monotonic() - began) / (run.step - first))
+        if run.step % args.choose_every == 0 or run.step == args.steps:
+            run.score(choosing)
+        if stop or time.monotonic() - last_saved > args.save_every_s or run.step == args.steps:
+            checkpoint.save(path, options=options, **run.state())
             last_saved = time.monotonic()
+        if stop and run.step < args.steps:
+            print(f"stopped after step {run.step}; the same command goes on", flush=True)
+            return INTERRUPTED
+    return 0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def make_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     parser.add_argument("--data", required=True, help="folder with coco256, cats_topdown, aerial_cars, visdrone_mini, models")
     parser.add_argument("--out", required=True, help="folder for the checkpoint and run.json")
+    parser.add_argument("--simulated", help="a folder of render.py's, for a quarter of the views")
+    parser.add_argument("--start", choices=("coco", "scratch"), default="coco",
+                        help="from the COCO arrays, which also teach on COCO pictures, or from nothing")
+    parser.add_argument("--people", default="yolox_nano_416.onnx",
+                        help="file in DATA/models that finds the people whom the sets of vehicles do not label; none: nobody is")
     parser.add_argument("--size", choices=("n", "s"), default="n")
     parser.add_argument("--no-attention", action="store_true", help="the same network without CBAM")
     parser.add_argument("--view", type=int, default=416, help="input size that objects are scaled for")
     parser.add_argument("--window", type=int, default=416, help="side of the window on that view that one step sees")
-    parser.add_argument("--batch", type=int, default=8, help="a multiple of 4")
-    parser.add_argument("--steps", type=int, default=2500)
+    parser.add_argument("--batch", type=int, default=32, help="a multiple of 4; with --simulated of 8")
+    parser.add_argument("--steps", type=int, default=12000)
     parser.add_argument("--lr", type=float, default=5e-4)
     parser.add_argument("--frozen", type=int, default=3, help="layers below this number keep their COCO weights")
+    parser.add_argument("--choose-every", type=int, default=500, help="steps from one look at the pictures that choose to the next")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu", help="cpu, cuda, cuda:1 ..")
+    parser.add_argument("--threads", type=int, default=1, help="of PyTorch, on the processor")
+    parser.add_argument("--workers", type=int, default=0, help="processes that draw the views; 0: the training itself")
     parser.add_argument("--save-every-s", type=float, default=120)
-    args = parser.parse_args()
-    if args.window % 32 or args.batch < 4 or args.batch % 4:
-        parser.error("--window must be a multiple of 32 and --batch a multiple of 4")
-    train(args)
+    return parser
+
+
+def parse(words: list[str] | None = None) -> argparse.Namespace:
+    parser = make_parser()
+    args = parser.parse_args(words)
+    if args.window % 32 or args.view % 32 or args.steps < 1 or args.choose_every < 1:
+        parser.error("--window and --view must be multiples of 32, --steps and --choose-every at least 1")
+    try:
+        data.sources_of_step(0, args.batch, bool(args.simulated))
+    except ValueError as e:
+        parser.error(f"--batch: {e}")
+    return args
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        sys.exit(train(parse()))
+    except (ValueError, OSError) as e:
+        sys.exit(f"train.py: {e}")

@@ -89,7 +89,7 @@ bool DynamicMasks::detect(const DetectorJob& job) {
   const rt::ImageView grey = pool_->grey(job.frame.slot);
   detector::PictureView picture{grey.data, grey.width, grey.height, grey.stride, 1};
   if (const std::uint8_t* bgr = pool_->bgr(job.frame.slot)) picture = {bgr, grey.width, grey.height, grey.width * 3, 3};
-  const bool use_small = small_ != nullptr && job.input_px < large_.info().input_width;
+  const bool use_small = small_ != nullptr && job.input_px < input_px();
   detector::Detector& network = use_small ? *small_ : large_;
   if (!network.detect(picture, &found_.boxes)) return false;
   // Only what may move goes on: the rest would take the place of it.

@@ -53,9 +53,9 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
   /// Things that stand still in the scene and are not masked (parked_boxes.h). Tracker thread.
   int parked() const { return parked_.parked_count(); }
 
-  /// Sides of the networks' inputs [px]; the same where there is one network.
-  int input_px() const { return large_.info().input_width; }
-  int small_input_px() const { return small_ != nullptr ? small_->info().input_width : input_px(); }
+  /// Sizes of the networks' inputs (ModelInfo::square_px); the same where there is one network.
+  int input_px() const { return large_.info().square_px(); }
+  int small_input_px() const { return small_ != nullptr ? small_->info().square_px() : input_px(); }
   rt::TimeNs t_detection_ns() const override { return t_detection_ns_; }
   rt::TimeNs late_mask(rt::TimeNs t_capture_ns, rt::TimeNs known_ns, rt::MaskPyramidView* mask) override;
 

@@ -20,6 +20,10 @@ rt::Result<detector::ModelInfo> look_at(const std::string& model) {
   return detector::read_model_info(model);
 }
 
+std::string input_of(const detector::ModelInfo& info) {
+  return std::to_string(info.input_width) + " x " + std::to_string(info.input_height);
+}
+
 }  // namespace
 
 ModelFiles model_files(const Config::Detector& config) {
@@ -55,10 +59,10 @@ void check_model_files(const Config::Detector& config,
     wrong("detector.small_model", small.error().message);
   } else if (small.value().classes != large.value().classes) {
     wrong("detector.small_model", files.small + ": its classes are not those of " + files.large);
-  } else if (small.value().input_width >= large.value().input_width) {
-    wrong("detector.small_model", files.small + ": its input of " + std::to_string(small.value().input_width) +
+  } else if (small.value().square_px() >= large.value().square_px()) {
+    wrong("detector.small_model", files.small + ": its input of " + input_of(small.value()) +
                                       " pixels is not smaller than that of " + files.large + ", " +
-                                      std::to_string(large.value().input_width));
+                                      input_of(large.value()));
   }
 }
 

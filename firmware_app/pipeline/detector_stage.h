@@ -10,7 +10,7 @@ namespace godwit::app {
 /// One picture to be looked at. The slot is held for the detector until detect() returns.
 struct DetectorJob {
   rt::FrameHandle frame;
-  int input_px = 0;  ///< size of the network's input
+  int input_px = 0;  ///< size of the network's input: side of the square of as many pixels
   bool is_keyframe = false;
 };
 

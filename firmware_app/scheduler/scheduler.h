@@ -36,11 +36,11 @@ const char* rung_reason_name(RungReason reason);
 struct SchedulerOptions {
   bool detector = false;                ///< there is one; without it the rungs that are the detector's are passed over
   rt::TimeNs deadline_ns = 33'300'000;  ///< a pose that stands later than this after its delivery is a slip
-  rt::TimeNs tracker_p95_ns = 15'000'000;  ///< above: a rung down
-  rt::TimeNs frame_ns = 33'333'333;        ///< interval of the camera
-  double temperature_c = 85;               ///< above: a rung down; 8 degrees below it counts as calm
-  rt::TimeNs calm_ns = 10'000'000'000;     ///< so long must all be well before a rung up; doubles after a relapse
-  int input_px = 416, small_input_px = 320;
+  rt::TimeNs tracker_p95_ns = 15'000'000;        ///< above: a rung down
+  rt::TimeNs frame_ns = 33'333'333;              ///< interval of the camera
+  double temperature_c = 85;                     ///< above: a rung down; 8 degrees below it counts as calm
+  rt::TimeNs calm_ns = 10'000'000'000;           ///< so long must all be well before a rung up; doubles after a relapse
+  int input_px = 416, small_input_px = 320;      ///< sides of squares of as many pixels as the networks' inputs
   int period_frames = 3;                         ///< shortest time between two detections
   int long_period_frames = 10;                   ///< the same from kLongPeriod on
   double few_features = 0.6;                     ///< share of the tracker's features from kFewFeatures on

@@ -116,7 +116,15 @@ TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
   std::filesystem::copy(GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx", own,
                         std::filesystem::copy_options::overwrite_existing);
   told("small_model = \"" + own + "\"\n",
-       ":7: detector.small_model: " + own + ": its input of 416 pixels is not smaller");
+       ":7: detector.small_model: " + own + ": its input of 416 x 416 pixels is not smaller");
+  // Wider than 416 and yet of fewer pixels: too large beside itself, small enough beside the square.
+  const std::string wide = GODWIT_MODEL_DIR "/cbam_yolov5n_480x352.onnx";
+  told("model = \"" + wide + "\"\nsmall_model = \"" + own + "\"\n",
+       ":8: detector.small_model: " + own + ": its input of 416 x 416 pixels is not smaller than that of " + wide +
+           ", 480 x 352");
+  const std::string fits =
+      write_config(folder, kSmallFlight + "[detector]\nmodel = \"" + own + "\"\nsmall_model = \"" + wide + "\"\n");
+  EXPECT_THAT(test::run_command(GODWIT_TOOL " check --config " + fits).second, testing::Not(HasSubstr("detector.")));
   std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
   told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":12: unknown key size");
 }

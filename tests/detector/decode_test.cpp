@@ -41,6 +41,26 @@ TEST(Letterbox, CentresAndKeepsTheAspect) {
   EXPECT_EQ(fit_letterbox(corner, 640, 480).top, 0);
 }
 
+TEST(Letterbox, ARectangleShowsACamerasPictureLarger) {
+  ModelInfo wide = model();
+  wide.input_width = 480;
+  wide.input_height = 352;
+  const LetterboxFit fit = fit_letterbox(wide, 640, 480);
+  EXPECT_FLOAT_EQ(fit.scale, 352.F / 480.F);
+  EXPECT_EQ(fit.width, 469);
+  EXPECT_EQ(fit.height, 352);
+  EXPECT_EQ(fit.left, 5);
+  EXPECT_EQ(fit.top, 0);
+  Output out(wide);
+  out.set(0, {240.F, 176.F, 44.F, 88.F, 0.9F, 0.8F, 0.1F});
+  Decoder decoder(wide, {});
+  BoxList boxes;
+  decoder.decode(out.data, fit, &boxes);
+  ASSERT_EQ(boxes.count, 1);
+  EXPECT_NEAR(boxes.box[0].x0, (240 - 22 - 5) / fit.scale, 1e-3);
+  EXPECT_NEAR(boxes.box[0].y1, (176 + 44) / fit.scale, 1e-3);
+}
+
 TEST(Letterbox, AVeryLongPictureKeepsOneRow) {
   const LetterboxFit fit = fit_letterbox(model(), 5000, 1);
   EXPECT_EQ(fit.height, 1);

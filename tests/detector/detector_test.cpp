@@ -47,25 +47,32 @@ std::string why(const rt::Result<Detector>& detector) {
 }
 
 /// The picture of the committed reference: every pixel follows from its place, so no file is needed.
-cv::Mat reference_input(int size) {
-  const int sizes[] = {1, 3, size, size};
+cv::Mat reference_input(int width, int height) {
+  const int sizes[] = {1, 3, height, width};
   cv::Mat blob(4, sizes, CV_32F);
   float* out = blob.ptr<float>();
   for (int c = 0; c < 3; ++c) {
-    for (int y = 0; y < size; ++y) {
-      for (int x = 0; x < size; ++x)
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x)
         *out++ = static_cast<float>((x * 7 + y * 13 + c * 29 + (x * y) / 16) & 255) / 255.F;
     }
   }
   return blob;
 }
 
-class DeliveredModel : public ::testing::TestWithParam<int> {};
+struct Input {
+  const char* name;
+  int width, height;
+};
+std::ostream& operator<<(std::ostream& out, const Input& input) {
+  return out << input.name;
+}
+class DeliveredModel : public ::testing::TestWithParam<Input> {};
 
 // The reference comes from PyTorch (detector/training/export.py), before the export to ONNX.
 TEST_P(DeliveredModel, AgreesWithPyTorch) {
-  const int size = GetParam();
-  const std::string name = "cbam_yolov5n_" + std::to_string(size);
+  const Input& input = GetParam();
+  const std::string name = std::string("cbam_yolov5n_") + input.name;
   const std::string reference = read(kData + "/" + name + ".reference");
   ASSERT_GE(reference.size(), 12U) << "reference is missing";
   std::int32_t header[3];  // rows in all, values a row, every how many rows is kept
@@ -77,7 +84,7 @@ TEST_P(DeliveredModel, AgreesWithPyTorch) {
 
   cv::setNumThreads(1);
   cv::dnn::Net net = cv::dnn::readNetFromONNX(kModels + "/" + name + ".onnx");
-  net.setInput(reference_input(size));
+  net.setInput(reference_input(input.width, input.height));
   const cv::Mat y = net.forward();
   ASSERT_EQ(y.size[1], header[0]);
   ASSERT_EQ(y.size[2], header[1]);
@@ -94,12 +101,13 @@ TEST_P(DeliveredModel, AgreesWithPyTorch) {
 }
 
 TEST_P(DeliveredModel, OpensWithItsMetadata) {
-  const std::string path = kModels + "/cbam_yolov5n_" + std::to_string(GetParam()) + ".onnx";
+  const std::string path = kModels + "/cbam_yolov5n_" + GetParam().name + ".onnx";
   EXPECT_LT(fs::file_size(path), 8'000'000U);
   auto opened = Detector::open(path, {});
   ASSERT_TRUE(opened.ok()) << opened.error().message;
   Detector detector = std::move(opened.value());
-  EXPECT_EQ(detector.info().input_width, GetParam());
+  EXPECT_EQ(detector.info().input_width, GetParam().width);
+  EXPECT_EQ(detector.info().input_height, GetParam().height);
   ASSERT_EQ(detector.info().classes.size(), 6U);
   for (int c = 0; c < 6; ++c) EXPECT_TRUE(detector.movable(c));
   EXPECT_FALSE(detector.movable(6));
@@ -125,7 +133,43 @@ TEST_P(DeliveredModel, OpensWithItsMetadata) {
     EXPECT_EQ(a.box[static_cast<std::size_t>(i)].x0, c.box[static_cast<std::size_t>(i)].x0);
 }
 
-INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel, ::testing::Values(416, 320));
+INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel,
+                         ::testing::Values(Input{"416", 416, 416}, Input{"320", 320, 320}, Input{"480x352", 480, 352}),
+                         [](const auto& input) { return std::string(input.param.name); });
+
+// One set of weights in two inputs: what a picture of a camera shows is in the same places.
+TEST_F(DetectorTest, ARectangularInputFindsTheSameAsASquareOne) {
+  const char* shared = std::getenv("GODWIT_SHARED_DIR");
+  const std::string root = std::string(shared != nullptr ? shared : "") + "/data/detection/coco256/images/val2017";
+  if (shared == nullptr || !fs::exists(root)) {
+    ASSERT_STRNE(std::getenv("CI") != nullptr ? std::getenv("CI") : "", "true") << "shared data is missing";
+    GTEST_SKIP() << "GODWIT_SHARED_DIR has no detection pictures";
+  }
+  auto square = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
+  auto wide = Detector::open(kModels + "/cbam_yolov5n_480x352.onnx", {});
+  ASSERT_TRUE(square.ok() && wide.ok());
+  std::vector<fs::path> pictures;
+  for (const auto& entry : fs::directory_iterator(root)) pictures.push_back(entry.path());
+  std::sort(pictures.begin(), pictures.end());
+  int sure = 0, same = 0;
+  for (const fs::path& path : pictures) {
+    const cv::Mat image = cv::imread(path.string());
+    if (image.cols < image.rows || sure >= 25) continue;
+    const PictureView view{image.data, image.cols, image.rows, static_cast<int>(image.step[0]), 3};
+    BoxList a, b;
+    ASSERT_TRUE(square.value().detect(view, &a).ok());
+    ASSERT_TRUE(wide.value().detect(view, &b).ok());
+    for (const Box& box : a.view()) {
+      if (box.score < 0.7F) continue;
+      ++sure;
+      same += std::any_of(b.view().begin(), b.view().end(), [&](const Box& other) {
+        return other.class_id == box.class_id && overlap(other, box) > 0.7F;
+      });
+    }
+  }
+  ASSERT_GE(sure, 20);
+  EXPECT_GE(same * 10, sure * 9) << same << " of " << sure;
+}
 
 TEST_F(DetectorTest, BadModelsAreNamedWithTheReason) {
   const std::string model = read(kModels + "/cbam_yolov5n_320.onnx"), meta = read(kModels + "/cbam_yolov5n_320.toml");

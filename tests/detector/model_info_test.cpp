@@ -50,6 +50,15 @@ TEST(ModelInfo, ReadsEveryKey) {
   EXPECT_EQ(info.sha256.substr(0, 8), "ba7816bf");
 }
 
+TEST(ModelInfo, WhatALookCostsIsItsPixelsNotItsWidth) {
+  ModelInfo info;
+  info.input_width = info.input_height = 416;
+  EXPECT_EQ(info.square_px(), 416);
+  info.input_width = 480;
+  info.input_height = 352;
+  EXPECT_EQ(info.square_px(), 411) << "less than the square that is narrower";
+}
+
 TEST(ModelInfo, YoloxHasOneRowACell) {
   const auto parsed = parse_model_info(with("\"yolov5\"", "\"yolox\""), "m.toml");
   ASSERT_TRUE(parsed.ok());

@@ -1,4 +1,6 @@
-"""The training side without PyTorch: the split that keeps held-out pictures out, labels, and the figures' arithmetic."""
+"""The training side without PyTorch: the split that keeps held-out pictures out, labels, views, rendered pictures."""
+import json
+import os
 import pathlib
 import sys
 import tempfile
@@ -11,8 +13,8 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / 'detector' / 'training'))
 import augment  # noqa: E402
 import data  # noqa: E402
-import evaluate  # noqa: E402
-import metrics  # noqa: E402
+import render  # noqa: E402
+import split  # noqa: E402
 
 
 class Split(unittest.TestCase):
@@ -31,21 +33,58 @@ class Split(unittest.TestCase):
 
     def test_last_fifth_of_every_flight_is_held_out(self):
         self.touch('aerial_cars/images', [f'MOS{i}' for i in (*range(74, 84), *range(155, 160))] + ['DJI_0005-0018'])
-        held_out = data.names(self.root, 'aerial_cars', True)
+        held_out = split.names(self.root, 'aerial_cars', 'held_out')
         # 74..83 and 155..159 are two flights: the gap between them is wider than any inside.
         self.assertEqual(held_out, ['MOS159', 'MOS82', 'MOS83'])
-        train = data.names(self.root, 'aerial_cars', False)
-        self.assertEqual(len(train), 13)
-        self.assertFalse(set(train) & set(held_out))
+        parts = {p: split.names(self.root, 'aerial_cars', p) for p in ('train', 'choose')}
+        # Of the eight that are left of the first flight, the last chooses.
+        self.assertEqual(parts['choose'], ['MOS81'])
+        self.assertEqual(len(parts['train']), 12)
+        self.assertFalse(set(parts['train']) & {*held_out, *parts['choose']})
+
+    def test_flights_that_are_unseen_are_neither_trained_on_nor_choose(self):
+        self.touch('cats_topdown/images', [f'{flight}_{i}' for flight in range(7) for i in range(1, 21)])
+        self.touch('aerial_cars/images', [f'{flight}{i}' for flight in ('MunichStreet02-MOS', 'MOS') for i in range(74, 94)])
+        for source, begins, seen in (('cats_topdown', ('5_', '6_'), 5), ('aerial_cars', ('MunichStreet',), 1)):
+            for part in ('train', 'choose'):
+                stems = split.names(self.root, source, part)
+                self.assertFalse([s for s in stems if s.startswith(begins)])
+                self.assertEqual(len(stems), seen * (14 if part == 'train' else 2))
+            unseen = split.names(self.root, source, 'unseen')
+            self.assertTrue(all(s.startswith(begins) for s in unseen))
+            self.assertEqual(len(unseen), 20 * len(begins))
+
+    def test_the_delivered_sets_have_parts_that_do_not_meet(self):
+        shared = pathlib.Path(os.environ.get('GODWIT_SHARED_DIR', '')) / 'data' / 'detection'
+        if not shared.is_dir():
+            self.assertNotEqual(os.environ.get('CI'), 'true', 'shared data is missing')
+            self.skipTest('GODWIT_SHARED_DIR has no detection pictures')
+        for source in data.SETS:
+            parts = {p: set(split.names(shared, source, p)) for p in split.PARTS}
+            for learnt in ('train', 'choose'):
+                self.assertTrue(parts[learnt], f'{source} {learnt}')
+                for scored in ('held_out', 'unseen'):
+                    self.assertFalse(parts[learnt] & parts[scored], f'{source} {learnt} {scored}')
+            self.assertFalse(parts['train'] & parts['choose'], source)
+            self.assertFalse(parts['train'] & split.SPRITE_SOURCES)
+        for source, folders in split.UNSEEN.items():
+            self.assertGreaterEqual(len(split.names(shared, source, 'unseen')), 20)
+
+    def test_an_eighth_of_the_pictures_without_flight_chooses(self):
+        self.touch('coco256/images/train2017', [f'{i:012}' for i in range(1, 17)])
+        self.assertEqual(split.names(self.root, 'coco', 'choose'), ['000000000008', '000000000016'])
+        self.assertEqual(len(split.names(self.root, 'coco', 'train')), 14)
+        with self.assertRaisesRegex(ValueError, 'test: no part'):
+            split.names(self.root, 'coco', 'test')
 
     def test_numbers_in_brackets_are_frame_numbers(self):
         self.touch('cats_topdown/images', [f'Drone2_({i})' for i in range(1, 11)])
-        self.assertEqual(data.names(self.root, 'cats_topdown', True), ['Drone2_(10)', 'Drone2_(9)'])
+        self.assertEqual(split.names(self.root, 'cats_topdown', 'held_out'), ['Drone2_(10)', 'Drone2_(9)'])
 
     def test_pictures_that_figures_are_cut_from_are_never_trained_on(self):
         for part in ('train2017', 'val2017'):
             self.touch(f'coco256/images/{part}', ['000000000009', '000000000113', '000000000241', '000000009483'])
-        self.assertEqual(data.names(self.root, 'coco', False), ['000000000009'])
+        self.assertEqual(split.names(self.root, 'coco', 'train'), ['000000000009'])
 
     def test_labels_become_our_classes_and_the_rest_is_left_out(self):
         for sub in ('images', 'labels', 'ignore'):
@@ -55,14 +94,14 @@ class Split(unittest.TestCase):
         (self.root / 'visdrone_mini' / 'labels' / 'a.txt').write_text(
             '1 0.5 0.5 0.1 0.2\n4 0.25 0.5 0.1 0.2\n6 0.75 0.5 0.1 0.2\n')
         (self.root / 'visdrone_mini' / 'ignore' / 'a.txt').write_text('0 0.1 0.1 0.1 0.1\n')
-        picture, = data.load(self.root, 'visdrone', held_out=False)
+        picture, = data.load(self.root, 'visdrone', part='train')
         self.assertEqual(picture.labels.tolist(), [0, 2])  # people, van
         np.testing.assert_allclose(picture.boxes[0], [90, 40, 110, 60], atol=1e-4)
         self.assertEqual(len(picture.ignore), 2)  # the region, and a tricycle
 
         (self.root / 'visdrone_mini' / 'labels' / 'a.txt').write_text('1 0.5 0.5 0.1\n')
         with self.assertRaisesRegex(ValueError, 'a.txt: every line must hold 5 numbers'):
-            data.load(self.root, 'visdrone', held_out=False)
+            data.load(self.root, 'visdrone', part='train')
 
 
     def one_picture(self, source, label):
@@ -71,7 +110,7 @@ class Split(unittest.TestCase):
         cv2.imwrite(str(self.root / source / 'images' / 'Drone1-1.jpg'), np.zeros((100, 200, 3), np.uint8))
         if label is not None:
             (self.root / source / 'labels' / 'Drone1-1.txt').write_text(label)
-        return data.load(self.root, source, held_out=False)[0]
+        return data.load(self.root, source, part='train')[0]
 
     def test_a_label_file_that_was_lost_is_no_empty_picture(self):
         with self.assertRaisesRegex(ValueError, 'Drone1-1.txt: no label file'):
@@ -80,9 +119,9 @@ class Split(unittest.TestCase):
         for stem in ('000000000250', '000000000009'):  # the first is known to show none of the 80 classes
             cv2.imwrite(str(self.root / 'coco256' / 'images' / 'train2017' / f'{stem}.jpg'), np.zeros((9, 9, 3), np.uint8))
         with self.assertRaisesRegex(ValueError, '000000000009.txt: no label file'):
-            data.load(self.root, 'coco', held_out=False)
+            data.load(self.root, 'coco', part='train')
         (self.root / 'coco256' / 'images' / 'train2017' / '000000000009.jpg').unlink()
-        self.assertEqual(len(data.load(self.root, 'coco', held_out=False)), 1)
+        self.assertEqual(len(data.load(self.root, 'coco', part='train')), 1)
 
     def test_an_unknown_class_is_told(self):
         with self.assertRaisesRegex(ValueError, "Drone1-1.txt: class 5 is none of aerial_cars's 5"):
@@ -97,8 +136,8 @@ class Split(unittest.TestCase):
         self.assertFalse(inside(100, 50))
         self.assertFalse(inside(20, 50))
         # What is scored is not touched: figures stay comparable.
-        with unittest.mock.patch.object(data, 'names', return_value=['Drone1-1']):
-            self.assertEqual(len(data.load(self.root, 'cats_topdown', held_out=True)[0].ignore), 0)
+        with unittest.mock.patch.object(split, 'names', return_value=['Drone1-1']):
+            self.assertEqual(len(data.load(self.root, 'cats_topdown', part='held_out')[0].ignore), 0)
 
     def test_a_quarter_of_the_views_is_visdrone(self):
         views = {}
@@ -109,8 +148,71 @@ class Split(unittest.TestCase):
                 views[source] = views.get(source, 0) + count
         self.assertEqual(views, {'coco': 48, 'visdrone': 24, 'aerial_cars': 16, 'cats_topdown': 8})
 
+    def test_rendered_pictures_are_a_quarter_at_most(self):
+        for batch in (8, 32):
+            views = dict(data.sources_of_step(2, batch, simulated=True))
+            self.assertEqual(sum(views.values()), batch)
+            self.assertEqual(views['simulated'] * 4, batch)
+            self.assertEqual(list(views)[0], 'coco')
+        for batch, simulated, wanted in ((6, False, 4), (12, True, 8), (0, False, 4)):
+            with self.assertRaisesRegex(ValueError, f'multiple of {wanted}'):
+                data.sources_of_step(0, batch, simulated)
+
+    def test_the_digest_knows_every_change(self):
+        def digest(**change):
+            p = {'name': 'p', 'source': 'coco', 'image': np.zeros((4, 5, 3), np.uint8), 'boxes': np.float32([[0, 0, 2, 2]]),
+                 'labels': np.array([0]), 'ignore': np.zeros((0, 4), np.float32), **change}
+            return data.digest({'coco': [data.Picture(**p)]})
+
+        image = np.zeros((4, 5, 3), np.uint8)
+        image[1, 2, 0] = 1
+        seen = {digest(), digest(image=image), digest(name='q'), digest(labels=np.array([2])),
+                digest(boxes=np.float32([[0, 0, 2, 3]])), digest(ignore=np.float32([[0, 0, 1, 1]]))}
+        self.assertEqual(len(seen), 6)
+        self.assertEqual(digest(), digest())
+
+
+def grey(image):
+    return bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
+
 
 class Views(unittest.TestCase):
+    def person(self):
+        """A person in red on blue."""
+        image = np.zeros((240, 320, 3), np.uint8)
+        image[..., 2] = 90
+        image[40:200, 120:180] = (200, 0, 0)
+        return data.Picture('p', 'coco', image, np.float32([[120, 40, 180, 200]]), np.array([0]))
+
+    def test_half_of_the_views_are_grey(self):
+        views = [augment.single(self.person(), 64, 64, np.random.default_rng(seed)) for seed in range(300)]
+        self.assertAlmostEqual(np.mean([grey(v.image) for v in views]), 0.5, delta=0.08)
+
+    def test_an_edge_cuts_people_in_every_way(self):
+        ways = dict.fromkeys(('head', 'left', 'right'), 0)
+        for seed in range(200):
+            rng = np.random.default_rng(seed)
+            with unittest.mock.patch.object(augment, '_colour', lambda image, _: image):
+                v = augment.cut(self.person(), 128, 128, rng)
+            if not len(v.labels):
+                self.assertEqual(len(v.ignore), 1)  # too little is left of it to be learnt
+                continue
+            (x0, y0, x1, y1), = v.boxes
+            ys, xs = np.nonzero(v.image[..., 0] > 150)
+            np.testing.assert_allclose([xs.min(), ys.min(), xs.max() + 1, ys.max() + 1], [x0, y0, x1, y1], atol=2.1)
+            edge = 0 if v.image[0, 0, 2] != augment.BORDER else 16  # of the picture, in its letterbox
+            ways['head'] += int(abs(y0 - edge) < 1e-3)
+            ways['left'] += int(x0 < 1e-3)
+            ways['right'] += int(x1 > 128 - 1e-3)
+        self.assertGreater(ways['head'], 60)
+        self.assertGreater(ways['left'], 25)
+        self.assertGreater(ways['right'], 25)
+
+    def test_a_picture_without_people_is_not_cut(self):
+        car = self.person()
+        car.labels[:] = 2
+        self.assertEqual(augment.cut(car, 64, 64, np.random.default_rng(0)).image.shape, (64, 64, 3))
+
     def test_a_box_stays_on_its_thing(self):
         image = np.zeros((300, 500, 3), np.uint8)
         image[100:160, 200:320] = 255
@@ -126,114 +228,59 @@ class Views(unittest.TestCase):
                 np.testing.assert_allclose([xs.min(), ys.min(), xs.max() + 1, ys.max() + 1], [x0, y0, x1, y1], atol=1.6)
 
 
-class Figures(unittest.TestCase):
-    def score(self, boxes, scores, truth, ignore=()):
-        c = metrics.ClassScore()
-        as_boxes = lambda b: np.array(b, np.float32).reshape(-1, 4)  # noqa: E731
-        c.add(as_boxes(boxes), np.array(scores, np.float32), as_boxes(truth), as_boxes(ignore))
-        return c
+class Rendered(unittest.TestCase):
+    ROWS = [{'kind': 'person', 'x0': '0', 'y0': '0', 'x1': '64', 'y1': '48', 'visible_px': '800'},
+            {'kind': 'person', 'x0': '64', 'y0': '0', 'x1': '128', 'y1': '48', 'visible_px': '700'},
+            {'kind': 'truck', 'x0': '320', 'y0': '240', 'x1': '640', 'y1': '480', 'visible_px': '70000'},
+            {'kind': 'car', 'x0': '5', 'y0': '5', 'x1': '5', 'y1': '9', 'visible_px': '1'}]
 
-    def test_all_right_is_one(self):
-        b = [[0, 0, 10, 10], [20, 20, 40, 40]]
-        np.testing.assert_allclose(self.score(b, [0.9, 0.8], b).average_precision(), 1)
+    def test_a_thing_counts_where_enough_of_it_is_visible(self):
+        learnt, left_out = render.sort_boxes(self.ROWS, 640, 480)
+        self.assertEqual(learnt, ['0 0.050000 0.050000 0.100000 0.100000', '5 0.750000 0.750000 0.500000 0.500000'])
+        self.assertEqual(left_out, ['0 0.150000 0.050000 0.100000 0.100000'])
 
-    def test_a_wrong_box_above_a_right_one_halves_the_precision(self):
-        c = self.score([[50, 50, 60, 60], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]])
-        self.assertAlmostEqual(c.average_precision()[0], 0.5)
+    def test_a_flight_becomes_a_set(self):
+        with tempfile.TemporaryDirectory() as folder:
+            root = pathlib.Path(folder)
+            (root / 'flight/mav0/cam0/data').mkdir(parents=True)
+            for sub in ('images', 'labels', 'ignore'):
+                (root / 'set' / sub).mkdir(parents=True)
+            cv2.imwrite(str(root / 'flight/mav0/cam0/data/1500000000.jpg'), np.zeros((480, 640), np.uint8))
+            cv2.imwrite(str(root / 'flight/mav0/cam0/data/2500000000.jpg'), np.zeros((480, 640), np.uint8))
+            (root / 'flight/boxes.csv').write_text('t,mover,kind,moving,x0,y0,x1,y1,visible_px\n' + ''.join(
+                f"1.500000000,7,{r['kind']},1,{r['x0']},{r['y0']},{r['x1']},{r['y1']},{r['visible_px']}\n" for r in self.ROWS))
+            self.assertEqual(render.take(root / 'flight', 'own_3', 640, 480, root / 'set'), 2)
+            first, second = data.load(root / 'set', 'simulated', 'train')
+            self.assertEqual((first.name, first.labels.tolist(), len(first.ignore)), ('own_3_000', [0, 5], 1))
+            np.testing.assert_allclose(first.boxes[1], [320, 240, 640, 480], atol=0.01)
+            self.assertEqual((second.name, len(second.labels)), ('own_3_001', 0))
+            data.leave_out_smaller([first], 65)
+            self.assertEqual((first.labels.tolist(), len(first.ignore)), ([5], 2))
 
-    def test_a_second_box_on_one_thing_is_wrong(self):
-        c = self.score([[0, 0, 10, 10], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]])
-        precision = c.curves()[1]
-        np.testing.assert_allclose(precision, [1, 0.5])
+    def test_what_flies_is_never_trained_on(self):
+        own = {p.stem for p in render.scenarios_of(flown=False)}
+        self.assertGreaterEqual(len(own), 5)
+        self.assertFalse(own & {p.stem for p in (render.HERE.parents[1] / 'config' / 'scenarios').glob('*.toml')})
+        self.assertEqual([p.stem for p in render.scenarios_of(flown=True) if p.exists()], list(render.FLOWN))
+        with tempfile.TemporaryDirectory() as folder:
+            purpose = pathlib.Path(folder) / 'purpose.json'
+            for told, refused in (({'for': 'training', 'scenarios': ['roofs']}, False),
+                                  ({'for': 'scoring', 'scenarios': ['roofs']}, True),
+                                  ({'for': 'training', 'scenarios': ['roofs', 'night']}, True)):
+                purpose.write_text(json.dumps(told))
+                if refused:
+                    with self.assertRaisesRegex(ValueError, 'not to be trained on'):
+                        render.check_to_train_on(pathlib.Path(folder))
+                else:
+                    render.check_to_train_on(pathlib.Path(folder))
 
-    def test_a_miss_halves_the_recall(self):
-        c = self.score([[0, 0, 10, 10]], [0.9], [[0, 0, 10, 10], [20, 20, 40, 40]])
-        self.assertAlmostEqual(c.average_precision()[0], 51 / 101)
-
-    def test_ignored_regions_count_neither_way(self):
-        c = self.score([[50, 50, 60, 60], [0, 0, 10, 10]], [0.9, 0.8], [[0, 0, 10, 10]], [[45, 45, 65, 65]])
-        self.assertAlmostEqual(c.average_precision()[0], 1)
-
-    def test_suppression_is_by_class(self):
-        boxes = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]], float)
-        kept = metrics.nms(boxes, np.array([0.5, 0.9, 0.4]), np.array([0, 0, 1]))
-        self.assertEqual(kept.tolist(), [1, 2])
-
-
-class AsFlown(unittest.TestCase):
-    def network(self, boxes, scores):
-        network = object.__new__(evaluate.Network)
-        network.tiled = False
-
-        def look(image, threshold):
-            b, s = np.array(boxes, float), np.array(scores, float)
-            sure = s.max(1) > threshold
-            return b[sure], s[sure]
-
-        network._look = look
-        return network
-
-    def picture(self, boxes, labels):
-        return data.Picture('p', 'coco', np.zeros((100, 200, 3), np.uint8), np.float32(boxes), np.array(labels))
-
-    def test_only_what_flies_is_counted(self):
-        person = lambda score: [score, 0, 0, 0, 0, 0]  # noqa: E731
-        found = self.network([[10, 10, 50, 90], [12, 10, 60, 90], [100, 10, 140, 90], [150, 10, 190, 90]],
-                             [person(0.9), person(0.8), person(0.3), person(0.2)])
-        # The second is suppressed at 0.45, the third is nobody, the fourth not sure enough: one of two.
-        picture = self.picture([[10, 10, 50, 90], [150, 10, 190, 90]], [0, 0])
-        f = evaluate.score_as_flown(found, [picture])['person']
-        self.assertEqual((f['P'], f['R'], f['boxes'], f['objects']), (0.5, 0.5, 2, 2))
-        self.assertEqual(evaluate.score_as_flown(found, [picture], score=0.1)['person']['R'], 1)
-
-    def test_suppression_is_that_of_flight(self):
-        both = self.network([[0, 0, 100, 100], [33, 0, 133, 100]], [[0.9, 0, 0, 0, 0, 0], [0.8, 0, 0, 0, 0, 0]])
-        picture = self.picture([[0, 0, 100, 100]], [0])  # they overlap by 0.504: two at 0.6, one in flight
-        self.assertEqual(evaluate.score_as_flown(both, [picture])['person']['P'], 1)
-
-    def test_a_row_is_of_its_best_class(self):
-        f = evaluate.score_as_flown(self.network([[10, 10, 50, 50]], [[0, 0, 0.9, 0, 0.5, 0]]),
-                                    [self.picture([[10, 10, 50, 50]], [2])])
-        self.assertEqual(f['vehicle']['P'], 1)
-        self.assertNotIn('bus', f)
-
-    def test_what_the_edge_cuts_is_told_apart(self):
-        found = self.network([[50, 10, 90, 90]], [[0.9, 0, 0, 0, 0, 0]])
-        f = evaluate.score_as_flown(found, [self.picture([[50, 10, 90, 90], [160, 20, 200, 90]], [0, 0])])
-        self.assertEqual((f['person']['R'], f['person at the edge']['R'], f['person at the edge']['objects']), (0.5, 0, 1))
-
-    def test_the_figures_are_those_of_the_flying_code(self):
-        header = (pathlib.Path(evaluate.__file__).resolve().parents[1] / 'decode.h').read_text()
-        self.assertIn(f'score_threshold = {evaluate.FLYING_SCORE}F;', header)
-        self.assertIn(f'nms_iou = {evaluate.FLYING_OVERLAP}F;', header)
-
-
-class Tiles(unittest.TestCase):
-    def test_the_squares_are_those_that_fly(self):
-        # As in tiles_test.cpp.
-        self.assertEqual(evaluate.square_tiles(1280, 720), [(x, 0, 720, 720) for x in (0, 280, 560)])
-        self.assertEqual(evaluate.square_tiles(720, 1280)[2], (0, 560, 720, 720))
-        self.assertEqual(evaluate.square_tiles(416, 416), [])
-
-    def test_a_thing_cut_off_by_a_square_is_left_to_the_others(self):
-        network = object.__new__(evaluate.Network)
-        network.tiled = True
-        bright = []
-
-        def look(image, threshold):
-            columns = np.flatnonzero(image.max((0, 2)))
-            bright.append(image.shape)
-            if not len(columns):
-                return np.zeros((0, 4)), np.zeros((0, 6))
-            return np.array([[columns[0], 0, columns[-1] + 1, image.shape[0]]], float), np.full((1, 6), 0.5)
-
-        network._look = look
-        picture = np.zeros((100, 200, 3), np.uint8)
-        picture[40:60, 95:105] = 255  # cut by the first and the last of three squares
-        boxes, scores = network.detect(picture, 0.1)
-        self.assertEqual(bright, [(100, 200, 3)] + [(100, 100, 3)] * 3)
-        self.assertEqual(boxes.tolist(), [[95, 0, 105, 100]] * 2)
-        self.assertEqual(scores.shape, (2, 6))
+    def test_every_scenario_has_its_pictures_a_second_apart(self):
+        for scenario in (*render.scenarios_of(True), *render.scenarios_of(False)):
+            text = render.at_one_a_second(scenario.read_text())
+            self.assertIn('\nfps = 1', text)
+            self.assertEqual((render.side(text, 'width'), render.side(text, 'height')), (640, 480))
+        with self.assertRaisesRegex(ValueError, 'one line fps'):
+            render.at_one_a_second('fx = 3\n')
 
 
 if __name__ == '__main__':

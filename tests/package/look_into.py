@@ -32,7 +32,8 @@ CONTENT = {
     'godwit-models': [
         '/usr/share/doc/godwit-models/copyright', '/usr/share/godwit/models/README.md',
         '/usr/share/godwit/models/cbam_yolov5n_320.onnx', '/usr/share/godwit/models/cbam_yolov5n_320.toml',
-        '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml'],
+        '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml',
+        '/usr/share/godwit/models/cbam_yolov5n_480x352.onnx', '/usr/share/godwit/models/cbam_yolov5n_480x352.toml'],
 }
 DEPENDS = pathlib.Path(__file__).resolve().parents[2] / 'toolchain/deb/depends'
 KNOWN = runpy.run_path(str(DEPENDS))

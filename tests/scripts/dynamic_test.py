@@ -74,6 +74,16 @@ class Dynamic(stand_in.StandInTest):
         self.run_it('--worlds', 'still', '--guards', 'both', '--sequential')
         self.assertEqual(len(self.flown()), 2)
 
+    def test_another_network_is_flown_again(self):
+        other = self.folder / 'other.onnx'
+        other.write_text('another network')
+        for more in ([], [], ['--model', str(other)]):
+            self.run_it('--worlds', 'still', '--guards', 'detector', '--sequential', *more)
+        self.assertEqual(len(self.flown()), 2)
+        self.assertIn('cbam_yolov5n_416.onnx', self.flown()[0])
+        self.assertIn(f'--model {other}', self.flown()[1])
+        self.assertIn('nowhere.onnx is not there', self.run_it('--model', '/nowhere.onnx').stderr)
+
     def test_table_holds_only_the_runs_that_were_asked_for(self):
         self.run_it('--worlds', 'still', '--guards', 'gate', '--runs', '3')
         done = self.run_it('--worlds', 'still', '--guards', 'neither,gate', '--runs', '1')

@@ -1,0 +1,75 @@
+"""The views of each step, from a generator seeded by (seed, step) alone: whoever asks for a step, and whenever, gets the same."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+import data
+from augment import CUT_SHARE, View, cut, mosaic, single
+from data import Picture
+
+MOSAIC_SHARE = 0.4
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What decides over the views of a step."""
+
+    seed: int
+    batch: int
+    window: int
+    view: int
+
+
+def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[View]:
+    """COCO comes first: the teacher sees it too."""
+    rng = np.random.default_rng((recipe.seed, step))
+    views = []
+    for source, count in data.sources_of_step(step, recipe.batch, "simulated" in pictures):
+        pool = pictures[source]
+        for _ in range(count):
+            if rng.random() < MOSAIC_SHARE:
+                four = [pool[i] for i in rng.integers(0, len(pool), 4)]
+                views.append(mosaic(four, recipe.window, recipe.view, rng))
+                continue
+            p = pool[rng.integers(0, len(pool))]
+            how = cut if source == "coco" and rng.random() < CUT_SHARE else single
+            views.append(how(p, recipe.window, recipe.view, rng))
+    return views
+
+
+def to_tensors(views: list[View]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Pictures (8 bit), targets (n x 6) and ignored regions (m x 5) as loss.detection_loss takes them."""
+    images = torch.from_numpy(np.ascontiguousarray(np.stack([v.image for v in views]).transpose(0, 3, 1, 2)))
+    targets, ignore = [np.zeros((0, 6), np.float32)], [np.zeros((0, 5), np.float32)]
+    for i, v in enumerate(views):
+        n = len(v.labels)
+        centre, extent = (v.boxes[:, :2] + v.boxes[:, 2:]) / 2, v.boxes[:, 2:] - v.boxes[:, :2]
+        targets.append(np.concatenate((np.full((n, 1), i), v.labels[:, None], centre, extent), 1))
+        ignore.append(np.concatenate((np.full((len(v.ignore), 1), i), v.ignore), 1))
+    as_tensor = lambda rows: torch.from_numpy(np.concatenate(rows).astype(np.float32))  # noqa: E731
+    return images, as_tensor(targets), as_tensor(ignore)
+
+
+class Steps(torch.utils.data.Dataset):
+    """The tensors of each step, by its number."""
+
+    def __init__(self, pictures: dict[str, list[Picture]], recipe: Recipe, count: int):
+        self.pictures, self.recipe, self.count = pictures, recipe, count
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, step: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        cv2.setNumThreads(1)
+        return to_tensors(draw(self.pictures, self.recipe, step))
+
+
+def steps(pictures: dict[str, list[Picture]], recipe: Recipe, first: int, last: int, workers: int):
+    """The tensors of the steps from `first` to before `last`, in order. `workers` processes draw ahead; 0: none."""
+    ahead = {"prefetch_factor": 4} if workers else {}
+    return torch.utils.data.DataLoader(Steps(pictures, recipe, last), sampler=range(first, last), batch_size=None,
+                                       num_workers=workers, **ahead)
