@@ -49,6 +49,8 @@ class EmulatedHidImu {
   EmulatedHidImu& operator=(const EmulatedHidImu&) = delete;
 
   bool there() const { return fd_ >= 0 && written_; }
+  /// Its clock stands at this from now on.
+  void set_clock(rt::TimeNs since_ns) { plugged_in_ns_ = rt::monotonic_now_ns() - since_ns; }
 
   std::atomic<bool> mute{false};
   std::atomic<bool> noise{true};
@@ -172,7 +174,7 @@ class EmulatedHidImu {
     write(*event);
   }
 
-  const rt::TimeNs plugged_in_ns_;
+  std::atomic<rt::TimeNs> plugged_in_ns_;
   int fd_ = -1;
   std::atomic<bool> written_{false}, stop_{false};
   bool open_ = false;
