@@ -64,6 +64,7 @@ struct FlightLog::State {
   std::condition_variable change;
   std::string waiting;  // whole messages
   std::uint64_t waiting_messages = 0;
+  rt::TimeNs t_full_ns = 0;  // since then there was no room for what came; 0: there is
   FlightLogReport report;
   std::uint64_t frames = 0;  // number of the newest one that was tracked; the caller's own
   bool ending = false, ended = false, has_thread = false;
@@ -87,8 +88,11 @@ struct FlightLog::State {
     if (ending) return;  // what comes after the end belongs to no flight
     if (!has_thread || waiting.size() >= options.buffer_bytes) {
       ++report.dropped;
+      if (t_full_ns == 0) t_full_ns = rt::monotonic_now_ns();
       return;
     }
+    if (t_full_ns != 0) ulog::append_dropout(rt::monotonic_now_ns() - t_full_ns, &waiting);
+    t_full_ns = 0;
     append(&waiting);
     ++waiting_messages;
   }

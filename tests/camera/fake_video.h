@@ -53,7 +53,7 @@ struct FakeDevice {
   // What happens to it.
   std::atomic<bool> there{true};
   std::atomic<godwit::rt::TimeNs> now_ns{100 * godwit::rt::kNsPerSecond};
-  std::atomic<int> opened{0}, closed{0}, mapped{0};
+  std::atomic<int> tried{0}, opened{0}, closed{0}, mapped{0};
   std::atomic<bool> streaming{false};
   std::atomic<godwit::rt::TimeNs> longest_wait_ns{0};
   bool real_waits = false;  ///< the clock goes only when the test says so
@@ -110,6 +110,7 @@ class FakeVideo final : public godwit::hal::VideoSystem {
   explicit FakeVideo(FakeDevice* device) : d_(*device) {}
 
   int open(const char* path) override {
+    ++d_.tried;
     if (!d_.there || std::string(path).find("/dev/video") != 0) return errno = ENOENT, -1;
     return 100 + d_.opened++;
   }

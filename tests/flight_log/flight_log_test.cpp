@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "hal/rt/time.h"
+#include "tests/support/standing_thread.h"
 #include "tests/support/temp_folder.h"
 
 namespace godwit::app {
@@ -148,6 +149,41 @@ TEST(FlightLog, AFullDiscLeavesWholeMessagesAndIsCounted) {
   EXPECT_GT(report.dropped, 0u);
   EXPECT_THAT(report.trouble, testing::HasSubstr("cannot be written"));
   for (const auto& file : files(folder.path())) messages(file);
+}
+
+// A disc that takes nothing for a while: what finds no room is counted and told where it is missing, nobody waits, and
+// the memory is bounded.
+TEST(FlightLog, ADiscThatStandsCostsMessagesThatAreCountedAndTold) {
+  const TempFolder folder;
+  FlightLogOptions o = options(folder.path());
+  o.buffer_bytes = 50'000;
+  FlightLog log(o);
+  std::uint64_t put = 0;
+  const auto log_frame = [&] { log.frame(frame(static_cast<std::uint32_t>(put++))); };
+  for (int i = 0; log.report().files == 0 && i < 10'000; ++i) {
+    log_frame();
+    usleep(1000);
+  }
+  ASSERT_EQ(log.report().files, 1u);
+  test::stop_thread("gw-flightlog");
+  const std::uint64_t before = put;
+  while (log.report().dropped == 0 && put < before + 5000) log_frame();
+  const std::uint64_t kept = put - before;
+  EXPECT_LT(kept, o.buffer_bytes / 50) << "a frame has more than 50 bytes";
+  for (int i = 0; i < 500; ++i) log_frame();
+  EXPECT_GE(log.report().dropped, 500u);
+  const std::uint64_t written = log.report().written_bytes;
+  test::let_thread_go();
+  for (int i = 0; log.report().written_bytes == written && i < 30'000; ++i) usleep(1000);
+  log_frame();
+  const FlightLogReport report = log.finish(60 * rt::kNsPerSecond);
+  EXPECT_EQ(report.files, 1u);
+  EXPECT_EQ(report.trouble, "");
+  auto count = messages(files(folder.path()).front());
+  EXPECT_GE(count['O'], 1) << "says where messages are missing";
+  // Frames, poses and the mapper's figures, all that were put: in the file or counted.
+  const std::uint64_t all = put + (put + 1) / 2 + (put + 2) / 3;
+  EXPECT_GE(static_cast<std::uint64_t>(count['D']) + report.dropped, all);
 }
 
 TEST(FlightLog, LeavesRoomOnTheDiscForOthers) {

@@ -73,6 +73,26 @@ def main():
                              ('latency_p99_ms', 21.5), ('quality', -1), ('reset_counter', 250), ('bus_state', 3),
                              ('autopilot_alive', 1), ('armed', 0), ('timestamp', 1_600_000)):
             assert list(bus[field]) == [value], field
+        order, detection, box = read['order'], read['detection'], read['box']
+        np.testing.assert_array_equal(order['number'], 1 + np.arange(30))
+        np.testing.assert_array_equal(order['t_capture_ns'], 1_000_000_000 + 33_000_000 * np.arange(30))
+        np.testing.assert_array_equal(order['t_capture_ns'] - order['t_source_ns'], 2_000_000)
+        np.testing.assert_array_equal(order['t_capture_ns'] - order['t_reading_ns'], 3_000_000)
+        np.testing.assert_array_equal(order['t_detection_ns'], np.where(np.arange(30) == 14, 1_400_000_000, 0))
+        np.testing.assert_array_equal(order['readings'], 6 * np.arange(30))
+        np.testing.assert_array_equal(order['feature_share'], np.where(np.arange(30) >= 15, 0.5, 1))
+        np.testing.assert_array_equal(order['room'], 3)
+        np.testing.assert_array_equal(order['deltas'], np.arange(30) % 2)
+        assert list(detection['t_capture_ns']) == [1_400_000_000] and list(detection['boxes']) == [2]
+        np.testing.assert_array_equal(box['t_capture_ns'], 1_400_000_000)
+        np.testing.assert_array_equal([box[f'x0_y0_x1_y1[{k}]'] for k in range(4)], [[10, 1], [20, 2], [110.5, 3], [220, 4]])
+        assert list(box['score']) == [0.75, 0.5] and list(box['class_id']) == [2, 7]
+        assert list(read['end']['frames']) == [30]
+        # This machine's own, as they were: a figure or none.
+        assert len(read['machine']['temperature_c']) >= 1 and set(read['machine']['throttled']) <= {0, 1}
+        assert not read['log']['dropped'].any() and (np.diff(read['log']['written_bytes'].astype(int)) >= 0).all()
+        # No topic that is not looked at here.
+        assert set(read) == {'frame', 'pose', 'mapper', 'load', 'imu', 'bus', 'order', 'detection', 'box', 'end', 'machine', 'log'}
         assert log.initial_parameters == {'camera.fps': 30.0, 'tracker.gain': 0.25}
         # PlotJuggler calls an array's values NAME.00, NAME.01.
         curves = [c.get('name') for c in xml.parse(sys.argv[2]).iter('curve')]

@@ -43,6 +43,14 @@ int main(int count, char** arguments) {
     r.load.readings_waiting = 7;
     r.load.slots_free = 9;
     r.load.slots_fewest = 4;
+    r.t_source_ns = r.t_capture_ns - 2'000'000;
+    r.order = {.number = i + 1,
+               .room = 3,
+               .deltas = static_cast<std::int32_t>(i % 2),
+               .feature_share = i >= 15 ? 0.5 : 1.0,
+               .t_detection_ns = i == 14 ? 1'400'000'000 : 0,
+               .readings = 6ULL * i,
+               .t_reading_ns = r.t_capture_ns - 3'000'000};
     for (int k = 0; k < 6; ++k) {
       hal::ImuSample s;
       s.t_ns = r.t_capture_ns + k * 5'000'000;
@@ -55,6 +63,8 @@ int main(int count, char** arguments) {
   }
   app::FoundBoxes found;
   found.t_capture_ns = 1'400'000'000;
+  found.boxes.push({.x0 = 10, .y0 = 20, .x1 = 110.5, .y1 = 220, .score = 0.75F, .class_id = 2});
+  found.boxes.push({.x0 = 1, .y0 = 2, .x1 = 3, .y1 = 4, .score = 0.5F, .class_id = 7});
   log.detection(found);
   link::LinkStatus bus;
   bus.t_ns = 1'600'000'000;

@@ -142,6 +142,48 @@ TEST_F(IioImuTest, SamplesOutOfOrderAreLeftOutAndTimesOfAnotherClockTold) {
   EXPECT_STREQ(e.what, "IMU clock is not CLOCK_MONOTONIC");
 }
 
+// An Intel D435i's driver passes on its microseconds since it was plugged in, which begin anew after 32 bits.
+TEST_F(IioImuTest, ADevicesOwnClockIsToldAndFollowed) {
+  constexpr rt::TimeNs kWrapNs = (rt::TimeNs{1} << 32) * 1000;
+  rt::TimeNs plugged_in_ns = now_ - (kWrapNs - 10 * rt::kNsPerSecond);
+  open();
+  rt::TimeNs late_ns = 0, worst_ns = 0;
+  int used = 0;
+  // 20 s at 200 Hz, its quartz 100 ppm slow, arrivals up to 2 ms late.
+  for (int i = 0; i < 4000; ++i) {
+    late_ns = i * 7919 % 2000 * 1000;
+    measure(i, plugged_in_ns + late_ns + i * 500);
+    if (now_ - late_ns - plugged_in_ns >= kWrapNs) plugged_in_ns += kWrapNs;
+    if (next() != ImuStatus::kSample) continue;
+    ++used;
+    if (i > 40) worst_ns = std::max(worst_ns, std::abs(s_.t_ns - (now_ - late_ns)));
+  }
+  // Twice it took twenty readings to believe it.
+  EXPECT_GE(used, 4000 - 2 * (OwnClock::kEnough + 1));
+  EXPECT_EQ(imu_->counters().wrong_time, 2u * OwnClock::kEnough);
+  EXPECT_EQ(imu_->counters().out_of_order, 0u);
+  EXPECT_LT(worst_ns, rt::kNsPerMs / 2);
+  rt::LogEntry e;
+  for (const char* const said :
+       {"IMU clock is not CLOCK_MONOTONIC", "IMU clock is followed", "IMU clock is followed"}) {
+    ASSERT_TRUE(imu_->events()->take(&e));
+    EXPECT_STREQ(e.what, said);
+  }
+  EXPECT_FALSE(imu_->events()->take(&e));
+}
+
+// Strange ones that are no clock: each another way off.
+TEST_F(IioImuTest, TimesThatFollowNoClockAreLeftOut) {
+  open();
+  for (int i = 0; i < 100; ++i) {
+    measure(i, (i % 3 + 2) * rt::kNsPerSecond);
+    EXPECT_EQ(next(), ImuStatus::kFault);
+  }
+  measure(100);
+  EXPECT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
+}
+
 TEST_F(IioImuTest, AClockThatCannotBeSetIsConverted) {
   gyro_.offset_ns = -1'700'000'000LL * rt::kNsPerSecond;
   open();

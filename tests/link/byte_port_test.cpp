@@ -42,7 +42,7 @@ TEST(BytePort, ASerialLineThatGoesIsLeftAloneAndOpenedAgain) {
   line.plug();
   port.maintain(now + rt::kNsPerMs);
   EXPECT_TRUE(port.gone()) << "tried once a second";
-  port.maintain(now + rt::kNsPerSecond);
+  port.maintain(now + rt::kNsPerSecond);  // two are promised
   EXPECT_FALSE(port.gone());
   EXPECT_TRUE(port.send(message, TxClass::kFlight));
   EXPECT_EQ(port.receive(into), 0u);

@@ -1,5 +1,6 @@
 // SocketCanBus on a real kernel: runs as root where vcan0 is an interface of its own (cases/socketcan makes one).
 // Prints what it checked; the last line is "SOCKETCAN PASSED" or "SOCKETCAN FAILED".
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <string>
@@ -34,11 +35,11 @@ bool receive_soon(CanBus& bus, CanFrame* frame) {
   return false;
 }
 
+/// Within the two seconds that are promised, of a time that goes as it is maintained: a busy host does not count.
 bool active_soon(CanBus& bus) {
-  for (int i = 0; i < 1000 && bus.state() != CanState::kActive; ++i) {
-    bus.maintain(rt::monotonic_now_ns());
-    usleep(1000);
-  }
+  static rt::TimeNs now_ns = rt::monotonic_now_ns();
+  const rt::TimeNs end_ns = (now_ns = std::max(now_ns, rt::monotonic_now_ns())) + 2 * rt::kNsPerSecond;
+  for (; now_ns < end_ns && bus.state() != CanState::kActive; now_ns += 10 * rt::kNsPerMs) bus.maintain(now_ns);
   return bus.state() == CanState::kActive;
 }
 

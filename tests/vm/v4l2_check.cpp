@@ -1,5 +1,7 @@
 // V4l2Camera on a real driver: vivid, the kernel's own emulated capture device. Runs as root in a machine of its own.
-//   godwit_v4l2_check DEVICE FRAMES
+//   godwit_v4l2_check DEVICE FRAMES             FRAMES of each format, 0: none, and all else but exposure
+//   godwit_v4l2_check DEVICE exposure
+//   godwit_v4l2_check DEVICE formats FRAMES
 // Prints what it checked; ends with 1 if something failed.
 #include <cmath>
 #include <cstdio>
@@ -195,7 +197,9 @@ void unplugged(const V4l2Settings& settings, const std::string& ctl) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 3 && argc != 4) return std::puts("godwit_v4l2_check DEVICE FRAMES|exposure|formats FRAMES"), 2;
+  if (argc != 3 && argc != 4) {
+    return std::puts("godwit_v4l2_check DEVICE FRAMES|exposure|formats FRAMES"), 2;
+  }
   V4l2Settings settings;
   settings.device = argv[1];
   settings.width = 640;
@@ -211,7 +215,11 @@ int main(int argc, char** argv) {
     formats(settings, std::atoi(argc > 3 ? argv[3] : ""));
     return failures == 0 ? 0 : 1;
   }
-  formats(settings, std::atoi(argv[2]));
+  if (const int frames = std::atoi(argv[2]); frames > 0) {
+    formats(settings, frames);
+  } else {
+    std::puts("      each format: elsewhere");
+  }
   shifted_clock(settings);
   future_stamps(settings);
   injected(settings, ctl);

@@ -42,6 +42,9 @@ rt::TimeNs middle_of_exposure(rt::TimeNs stamp_ns, bool at_start, rt::TimeNs exp
 /// may block: a device that is gone is looked for five times a second.
 class DeviceCamera : public Camera {
  public:
+  /// A device that is not there is looked for this often; twice that long it takes at most to have one that came back.
+  static constexpr rt::TimeNs kRetryNs = 200 * rt::kNsPerMs;
+
   /// Hears what went wrong with the device, in words, when it changes; "": all is well again. Called by the camera's
   /// own thread.
   using Tell = std::function<void(const std::string&)>;
@@ -81,8 +84,6 @@ class DeviceCamera : public Camera {
   rt::Result<void> begin(const char* thread);
 
  private:
-  static constexpr rt::TimeNs kRetryNs = 200 * rt::kNsPerMs;
-
   // The caller's thread.
   bool adopt(rt::TimeNs timeout_ns);
   void lose(const char* why);

@@ -6,10 +6,6 @@
 
 namespace godwit::hal {
 namespace {
-/// Clocks that are the same differ by less.
-constexpr rt::TimeNs kFutureNs = 5 * rt::kNsPerMs;
-/// A driver's buffer does not hold longer than this.
-constexpr rt::TimeNs kOldNs = rt::kNsPerSecond;
 constexpr rt::TimeNs kFirstOpeningNs = 2 * rt::kNsPerSecond;
 }  // namespace
 
@@ -44,6 +40,7 @@ const char* IioImu::start() {
     line.heard_ns = line.port->now_ns();
     line.last_ns = 0;
     line.offset_ns = line.port->clock_offset_ns();
+    line.clock.start();
     if (line.is.rate_hz > 0 && std::abs(line.is.rate_hz - settings_.rate_hz) > 0.05 * settings_.rate_hz) {
       events_.say({.t_ns = line.heard_ns,
                    .level = rt::LogLevel::kWarning,
@@ -132,7 +129,7 @@ ImuStatus IioImu::take(Line* line, rt::TimeNs give_up_ns, IioScan* scan) {
       line->heard_ns = line->port->now_ns();
       const rt::TimeNs offset = line->port->clock_offset_ns(), moved = offset - line->offset_ns;
       line->offset_ns = offset;
-      if (std::abs(moved) > kFutureNs) {
+      if (std::abs(moved) > OwnClock::kFutureNs) {
         // Somebody set the driver's clock; which of these were stamped before that, nobody knows.
         events_.say({.t_ns = line->heard_ns,
                      .level = rt::LogLevel::kWarning,
@@ -145,14 +142,20 @@ ImuStatus IioImu::take(Line* line, rt::TimeNs give_up_ns, IioScan* scan) {
       }
     }
     *scan = line->scans[line->next++];
-    scan->t_ns += line->offset_ns;
-    if (scan->t_ns > line->heard_ns + kFutureNs || scan->t_ns < line->heard_ns - kOldNs) {
+    const rt::TimeNs off_ns = scan->t_ns + line->offset_ns - line->heard_ns;
+    const OwnClock::Verdict verdict = line->clock.take(scan->t_ns + line->offset_ns, line->heard_ns, &scan->t_ns);
+    if (verdict != OwnClock::Verdict::kGood) {
       if (counters_.wrong_time++ == 0) {
         events_.say({.t_ns = now,
                      .level = rt::LogLevel::kWarning,
                      .what = "IMU clock is not CLOCK_MONOTONIC",
                      .why = "off by [s]",
-                     .value = rt::to_seconds(scan->t_ns - line->heard_ns)});
+                     .value = rt::to_seconds(off_ns)});
+      }
+      if (verdict == OwnClock::Verdict::kFollowed) {
+        line->last_ns = 0;  // on the clock until now
+        events_.say(
+            {.t_ns = now, .what = "IMU clock is followed", .why = "off by [s]", .value = rt::to_seconds(off_ns)});
       }
       return ImuStatus::kFault;
     }

@@ -7,6 +7,7 @@
 
 #include "hal/imu/axis_map.h"
 #include "hal/imu/iio/iio_port.h"
+#include "hal/imu/iio/own_clock.h"
 #include "hal/imu/imu.h"
 #include "hal/imu/reading_check.h"
 #include "hal/rt/log_ring.h"
@@ -28,9 +29,9 @@ struct IioCounters {
   std::uint64_t restarts = 0;
 };
 
-/// Times are the driver's, taken at the interrupt, on CLOCK_MONOTONIC. Where rates and acceleration come from two
-/// devices, acceleration is interpolated to the times of the rates. A device that is gone is looked for five times a
-/// second, by the port's own thread. One thread; next() neither allocates nor locks.
+/// Times are the driver's, taken at the interrupt, on CLOCK_MONOTONIC, or its device's own, which are followed. Where
+/// rates and acceleration come from two devices, acceleration is interpolated to the times of the rates. A device that
+/// is gone is looked for five times a second, by the port's own thread. One thread; next() neither allocates nor locks.
 class IioImu final : public Imu {
  public:
   /// gyro: the device that measures rates, and acceleration unless accel does (ICM-42688-P, BMI088 and D435i have two:
@@ -62,6 +63,7 @@ class IioImu final : public Imu {
     int count = 0, next = 0;
     rt::TimeNs heard_ns = 0, last_ns = 0;
     rt::TimeNs offset_ns = 0;
+    OwnClock clock;
   };
   struct Accel {
     rt::TimeNs t_ns = 0;
