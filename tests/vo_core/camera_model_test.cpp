@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <limits>
 #include <string>
+#include <vector>
 
 #include "tests/vo_core/numeric_jacobian.h"
 #include "tests/vo_core/test_cameras.h"
@@ -73,6 +74,42 @@ TEST_P(EachCamera, RefusesWhatCannotBeSeenAndLeavesThePixelAlone) {
     EXPECT_FALSE(camera.project(p, &px)) << p.transpose();
     EXPECT_EQ(px, Vec2(-7, -7));
   }
+}
+
+template <typename Real>
+void expect_rows_as_one_by_one(const CameraModel& camera, double off_px) {
+  std::vector<Vec3> points;
+  for (int i = 0; i < 37; ++i)
+    points.push_back(camera.unproject(Vec2(17 * i % camera.width(), 29 * i % camera.height())) * (0.5 + i));
+  const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
+  points.insert(points.begin() + 5, {Vec3(0, 0, 2), Vec3(0.1, 0.2, -1), Vec3(1, 2, 0), Vec3(nan, 1, 1), Vec3(1, 1, nan),
+                                     Vec3(1e30, 1, 1), Vec3(inf, 0, 1)});
+  const int count = static_cast<int>(points.size());
+  // What stands behind the last point is anything.
+  std::vector<std::vector<Real>> row(
+      12, std::vector<Real>(static_cast<std::size_t>(CameraModel::row_room(count)), Real(nan)));
+  for (std::size_t i = 0; i < points.size(); ++i)
+    for (int axis = 0; axis < 3; ++axis) row[static_cast<std::size_t>(axis)][i] = static_cast<Real>(points[i](axis));
+  Real* const J[6] = {row[6].data(), row[7].data(), row[8].data(), row[9].data(), row[10].data(), row[11].data()};
+  camera.project(count, CameraModel::Rows<Real>{row[0].data(), row[1].data(), row[2].data(), row[3].data(),
+                                                row[4].data(), row[5].data(), J});
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    Vec2 px;
+    Mat23 J_one;
+    const bool seen = camera.project(points[i], &px, &J_one);
+    EXPECT_EQ(row[5][i], seen ? Real(1) : Real(0)) << points[i].transpose();
+    for (std::size_t k = 3; k < row.size(); ++k) EXPECT_TRUE(std::isfinite(row[k][i])) << points[i].transpose();
+    if (!seen) continue;
+    EXPECT_NEAR(row[3][i], px.x(), off_px);
+    EXPECT_NEAR(row[4][i], px.y(), off_px);
+    for (int k = 0; k < 6; ++k)
+      EXPECT_NEAR(row[static_cast<std::size_t>(6 + k)][i], J_one(k / 3, k % 3), off_px * (1.0 + J_one.norm()));
+  }
+}
+
+TEST_P(EachCamera, ManyPointsAtOnceAreAsOneByOne) {
+  expect_rows_as_one_by_one<double>(GetParam()(), 1e-9);
+  expect_rows_as_one_by_one<float>(GetParam()(), 3e-4);
 }
 
 TEST(CameraModel, FisheyeSeesBehindItsPlane) {

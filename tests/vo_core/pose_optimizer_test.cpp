@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <gtest/gtest.h>
+#include <limits>
 #include <random>
 #include <vector>
 
@@ -101,6 +102,37 @@ TEST(PoseOptimizer, CovarianceIsWhatTheErrorsAre) {
     EXPECT_LT(mean.x(), 9.0);
     // An edgelet has one coordinate, a corner two: each by the median of its own.
     EXPECT_NEAR(mean.y(), 1.0, 0.1);
+  }
+}
+
+// The sums are taken several measurements at a time; the Jacobian of one is held against differences above.
+TEST(PoseOptimizer, InformationIsTheSumOfTheMeasurementsOwn) {
+  for (const CameraModel& camera : {test::tum_fr1(), test::fisheye()}) {
+    std::vector<PoseMeasurement> m = measure(camera, some_pose(), 61, 0.5, 7);
+    for (std::size_t i = 0; i < m.size(); ++i) {
+      m[i].sigma_px = 0.4 + 0.1 * static_cast<double>(i % 5);
+      if (i % 3 == 0) m[i].type = FeatureType::kEdgelet;
+    }
+    m[4].p_world = some_pose().inverse() * Vec3(0.1, 0.2, -1.0);  // behind the camera
+    m[9].p_world = Vec3::Constant(std::numeric_limits<double>::quiet_NaN());
+    SE3 T = some_pose();
+    const PoseOptimizerResult result = optimize_pose(camera, {}, m, &T);
+    ASSERT_TRUE(result.ok);
+    EXPECT_FALSE(m[4].inlier);
+    EXPECT_FALSE(m[9].inlier);
+    Mat6 H = Mat6::Zero();
+    double chi_square = 0.0;
+    for (const PoseMeasurement& x : m) {
+      Vec2 r;
+      Mat26 J;
+      if (!x.inlier) continue;
+      ASSERT_TRUE(pose_residual(camera, T, x, &r, &J));
+      H += J.transpose() * J / (x.sigma_px * x.sigma_px);
+      chi_square += r.squaredNorm() / (x.sigma_px * x.sigma_px);
+    }
+    EXPECT_NEAR(result.chi_square, chi_square, 1e-6 * chi_square);
+    const Mat6 covariance = H.inverse() * std::max(1.0, chi_square / result.freedom);
+    EXPECT_LT((result.covariance - covariance).norm(), 1e-6 * covariance.norm());
   }
 }
 

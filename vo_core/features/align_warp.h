@@ -6,8 +6,8 @@
 
 namespace godwit::vo {
 
-/// A point in the current camera's frame at the time its row is read, `row_time` later than the capture time, over the time
-/// between the frames. p_cur: where it is at the capture time, T_cur_ref * p_ref; motion: T_cur_ref.log().
+/// A point in the current camera's frame at the time its row is read, `row_time` later than the capture time, over the
+/// time between the frames. p_cur: where it is at the capture time, T_cur_ref * p_ref; motion: T_cur_ref.log().
 inline Vec3 align_warp(const Vec3& p_cur, const Vec6& motion, double row_time) {
   return p_cur + row_time * (motion.head<3>() + motion.tail<3>().cross(p_cur));
 }

@@ -8,8 +8,8 @@ namespace godwit::vo {
 namespace {
 
 constexpr float kConvergedPx = 0.02f;  // a fourteenth of what an alignment is off by anyhow (match_noise.h)
-// A patch that is blurred against its reference, or sharper, makes each step too short or too long by the same share, in
-// each direction. Two steps tell which: Broyden's update of the steps' scale, unless the second is hardly shorter.
+// A patch that is blurred against its reference, or sharper, makes each step too short or too long by the same share,
+// in each direction. Two steps tell which: Broyden's update of the steps' scale, unless the second is hardly shorter.
 constexpr float kLeastGained = 0.15f;
 // After three steps a patch that explains less of the picture than a grey square would is not there: of 20,639 such on
 // tum_fr1_xyz 570 would have been found after all.

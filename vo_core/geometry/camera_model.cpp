@@ -174,7 +174,7 @@ bool CameraModel::project(const Vec3& p_cam, Vec2* px, Mat23* J) const {
   const double r2 = X * X + Y * Y;
   const double r = std::sqrt(r2);
   const double theta = std::atan2(r, Z);
-  if (!(theta <= max_r_)) return false;
+  if (!(theta <= max_r_) || !std::isfinite(r)) return false;
   if (r < 1e-9 * std::abs(Z) || r == 0.0) {
     // On the axis the direction of r is undefined; the limit is a plain pinhole. Behind the camera nothing is seen.
     if (!(Z > 0.0)) return false;

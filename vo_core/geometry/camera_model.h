@@ -43,9 +43,11 @@ class CameraModel {
   bool project(const Vec3& p_cam, Vec2* px, Mat23* J = nullptr) const;
 
   /// The same for many points at once, coordinate by coordinate: the arrays hold `count` and are as long as the next
-  /// multiple of kRowLanes, whatever stands there. seen: 1 where project() is true, else 0, and then pixel and Jacobian are
-  /// those of a point on the axis. J, if given: six arrays, the Jacobian row by row. In float the pixel is off by 1e-4 px.
+  /// multiple of kRowLanes, whatever stands there. seen: 1 where project() is true, else 0, and then pixel and Jacobian
+  /// are those of a point on the axis. J, if given: six arrays, the Jacobian row by row. In float the pixel is off by
+  /// 1e-4 px.
   static constexpr int kRowLanes = 8;
+  static constexpr int row_room(int count) { return (count + kRowLanes - 1) / kRowLanes * kRowLanes; }
   template <typename Real>
   struct Rows {
     const Real *x, *y, *z;  ///< camera frame

@@ -55,18 +55,22 @@ class Rows {
         hn::StoreU(a * at(world_[0], i) + b * at(world_[1], i) + c * at(world_[2], i) + t, d, camera_point_[row] + i);
     }
     double* const J[6] = {J_[0], J_[1], J_[2], J_[3], J_[4], J_[5]};
-    camera_.project(n, CameraModel::Rows<double>{camera_point_[0], camera_point_[1], camera_point_[2], u_, v_, seen_, J});
+    camera_.project(n,
+                    CameraModel::Rows<double>{camera_point_[0], camera_point_[1], camera_point_[2], u_, v_, seen_, J});
     for (int i = 0; i < n; i += lanes) {
       const auto du = at(px_[0], i) - at(u_, i), dv = at(px_[1], i) - at(v_, i);
       const auto r0 = at(part_[0], i) * du + at(part_[1], i) * dv, r1 = at(part_[2], i) * dv;
       hn::StoreU(r0, d, residual_[0] + i);
       hn::StoreU(r1, d, residual_[1] + i);
       const auto error = hn::Sqrt(r0 * r0 + r1 * r1) * at(per_sigma_, i);
-      hn::StoreU(hn::IfThenElse(hn::Gt(at(seen_, i), hn::Zero(d)), error, hn::Set(d, -1.0)), d, error_ + i);
+      const auto seen = hn::Gt(at(seen_, i), hn::Zero(d));
+      hn::StoreU(hn::IfThenElse(seen, error, hn::Set(d, -1.0)), d, error_ + i);
+      // What is no number must not become one of the sums by a weight of zero.
+      for (auto& row : camera_point_) hn::StoreU(hn::IfThenElseZero(seen, at(row, i)), d, row + i);
     }
   }
 
-  /// Of the last look. Normal equations for the left twist of T_cam_world. weight(i): of a measurement, in its sigmas.
+  /// Weights by the last look, Tukey's, with this many sigmas for one; or one by one.
   void weigh_tukey(double scale) {
     const hn::CappedTag<double, 4> d;
     const auto per = hn::Set(d, 1.0 / (kTukey * scale)), one = hn::Set(d, 1.0);
@@ -78,6 +82,7 @@ class Rows {
     }
   }
   void weigh(int i, double weight) { weight_[i] = weight; }
+  /// For the left twist of T_cam_world, at the last look.
   void normal_equations(Mat6* H, Vec6* b) const {
     const hn::CappedTag<double, 4> d;
     const auto at = [&](const double* p, int i) { return hn::LoadU(d, p + i); };
@@ -92,7 +97,8 @@ class Rows {
       const V w = at(weight_, i) * per * per;
       const auto add = [&](const V& j0, const V& j1, const V& j2, const V& r) {
         // d residual / d twist: minus the Jacobian by the point, and that times the point's cross product.
-        const std::array<V, 6> J{hn::Neg(j0), hn::Neg(j1), hn::Neg(j2), j1 * z - j2 * y, j2 * x - j0 * z, j0 * y - j1 * x};
+        const std::array<V, 6> J{hn::Neg(j0),     hn::Neg(j1),     hn::Neg(j2),
+                                 j1 * z - j2 * y, j2 * x - j0 * z, j0 * y - j1 * x};
         int k = 0;
         for (int row = 0; row < 6; ++row) {
           const V weighted = w * J[row];
@@ -101,8 +107,8 @@ class Rows {
         }
       };
       const V p0 = at(part_[0], i), p1 = at(part_[1], i), p2 = at(part_[2], i);
-      add(p0 * at(J_[0], i) + p1 * at(J_[3], i), p0 * at(J_[1], i) + p1 * at(J_[4], i), p0 * at(J_[2], i) + p1 * at(J_[5], i),
-          at(residual_[0], i));
+      add(p0 * at(J_[0], i) + p1 * at(J_[3], i), p0 * at(J_[1], i) + p1 * at(J_[4], i),
+          p0 * at(J_[2], i) + p1 * at(J_[5], i), at(residual_[0], i));
       add(p2 * at(J_[3], i), p2 * at(J_[4], i), p2 * at(J_[5], i), at(residual_[1], i));
     }
     int k = 0;
@@ -117,9 +123,8 @@ class Rows {
   double squared_px(int i) const { return residual_[0][i] * residual_[0][i] + residual_[1][i] * residual_[1][i]; }
 
  private:
-  static constexpr int kRoom = (kMaxFrameFeatures + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes;
-  int padded() const { return (count_ + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes; }
-  using Row = double[kRoom];
+  int padded() const { return CameraModel::row_room(count_); }
+  using Row = double[CameraModel::row_room(kMaxFrameFeatures)];
 
   const CameraModel& camera_;
   int count_;

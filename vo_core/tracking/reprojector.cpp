@@ -77,8 +77,7 @@ void Reprojector::project(int points, const SE3& T_cam_world, const Vec6& veloci
   const Mat3& R = T_cam_world.R;
   for (int axis = 0; axis < 3; ++axis) {
     const double a = R(axis, 0), b = R(axis, 1), c = R(axis, 2), t = T_cam_world.t(axis);
-    for (int k = 0; k < points; ++k)
-      p_cam_[axis][k] = a * p_world_[0][k] + b * p_world_[1][k] + c * p_world_[2][k] + t;
+    for (int k = 0; k < points; ++k) p_cam_[axis][k] = a * p_world_[0][k] + b * p_world_[1][k] + c * p_world_[2][k] + t;
   }
   const bool rolling = options_.shutter.readout_s > 0.0;
   double* const J[6] = {J_[0].data(), J_[1].data(), J_[2].data(), J_[3].data(), J_[4].data(), J_[5].data()};
@@ -101,8 +100,7 @@ void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& p
   const bool shaded =
       mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
   if (shaded && p.observation_count < options_.proven_observations) return;
-  const int cell =
-      static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
+  const int cell = static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
   Candidate& c = candidates_[candidate_count_];
   c.point = point;
   c.px = px.cast<float>();

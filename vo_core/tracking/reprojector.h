@@ -90,13 +90,11 @@ class Reprojector {
   ReprojectorOptions options_;
   int columns_, rows_;
   // The points of one keyframe, coordinate by coordinate.
-  static constexpr int kRoom =
-      (kMaxKeyframeFeatures + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes;
-  using Row = std::array<double, kRoom>;
+  using Row = std::array<double, CameraModel::row_room(kMaxKeyframeFeatures)>;
   std::array<Row, 3> p_world_{}, p_cam_{};
   Row u_{}, v_{}, seen_{};
   std::array<Row, 6> J_{};
-  std::array<PointHandle, kRoom> seen_point_;
+  std::array<PointHandle, kMaxKeyframeFeatures> seen_point_;
   int candidate_count_ = 0;
   int coarser_ = 0;               ///< of the run at hand
   Vec3 position_ = Vec3::Zero();  ///< the camera's, of the run at hand

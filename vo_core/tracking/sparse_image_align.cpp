@@ -104,8 +104,8 @@ void SparseImageAlign::warp(const SE3& T_cur_ref) {
       for (int axis = 0; axis < 3; ++axis) p_cur_[axis][i] = static_cast<float>(moved(axis));
     }
   }
-  camera_.project(patch_count_, CameraModel::Rows<float>{p_cur_[0].data(), p_cur_[1].data(), p_cur_[2].data(), u_.data(),
-                                                         v_.data(), seen_.data()});
+  camera_.project(patch_count_, CameraModel::Rows<float>{p_cur_[0].data(), p_cur_[1].data(), p_cur_[2].data(),
+                                                         u_.data(), v_.data(), seen_.data()});
 }
 
 int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,

@@ -68,9 +68,7 @@ class SparseImageAlign {
     bool visible;  ///< whole, in the level at hand
   };
 
-  static constexpr int kRoom =
-      (kMaxFrameFeatures + CameraModel::kRowLanes - 1) / CameraModel::kRowLanes * CameraModel::kRowLanes;
-  using Row = std::array<float, kRoom>;
+  using Row = std::array<float, CameraModel::row_room(kMaxFrameFeatures)>;
 
   /// Time at which a row is read, over the time between the frames, 0 at the capture time.
   double row_time(double row) const { return (row / camera_.height() - shutter_.reference) * shutter_.readout; }
