@@ -124,7 +124,7 @@ TEST(GodwitCheck, TheNetworksFilesMustBeThereAndGoTogether) {
            ", 480 x 352");
   const std::string fits =
       write_config(folder, kSmallFlight + "[detector]\nmodel = \"" + own + "\"\nsmall_model = \"" + wide + "\"\n");
-  EXPECT_THAT(test::run_command(GODWIT_TOOL " check --config " + fits).second,
+  EXPECT_THAT(test::run_command(GODWIT_TOOL " check --config " + fits).text,
               testing::Not(HasSubstr("detector.small_model")));
   std::ofstream(folder.path() / "own.toml", std::ios::app) << "size = 3\n";
   told("model = \"" + own + "\"\n", ":7: detector.model: " + (folder / "own.toml") + ":12: unknown key size");
