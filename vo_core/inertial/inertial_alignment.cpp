@@ -1,9 +1,11 @@
 #include "vo_core/inertial/inertial_alignment.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+
+#include "vo_core/geometry/dense_cholesky.h"
 
 namespace godwit::vo {
 namespace {
@@ -40,23 +42,44 @@ bool constrained_gravity(const Mat3& H, const Vec3& b, double length, Vec3* g) {
   return g->allFinite() && std::abs(g->norm() - length) < 1e-3 * length;
 }
 
-/// Normal equations with gravity last: solves for gravity under its constraint, then for the rest.
-template <int kRest>
-bool solve_with_gravity(const Eigen::Matrix<double, kRest + 3, kRest + 3>& H,
-                        const Eigen::Matrix<double, kRest + 3, 1>& b, double gravity,
-                        Eigen::Matrix<double, kRest, 1>* rest, Vec3* g, double* free_gravity) {
-  using Rest = Eigen::Matrix<double, kRest, kRest>;
-  const Eigen::LLT<Rest> llt(Rest(H.template topLeftCorner<kRest, kRest>()));
-  if (llt.info() != Eigen::Success) return false;
-  // Column by column: of more than one Eigen solves by blocks, which may allocate.
-  Eigen::Matrix<double, kRest, 3> K;
-  for (int i = 0; i < 3; ++i) K.col(i) = llt.solve(H.template topRightCorner<kRest, 3>().col(i));
-  const Mat3 S = H.template bottomRightCorner<3, 3>() - H.template bottomLeftCorner<3, kRest>() * K;
-  const Vec3 q = b.template tail<3>() - K.transpose() * b.template head<kRest>();
-  *free_gravity = S.llt().solve(q).norm();
+/// At most ten unknowns, gravity the last three. The sizes are known at run time alone: Eigen's decompositions of three sizes
+/// took the compiler half a minute.
+constexpr int kMostUnknowns = 10;
+using Unknowns = Eigen::Matrix<double, kMostUnknowns, 1>;
+using Normal = Eigen::Matrix<double, kMostUnknowns, kMostUnknowns>;
+
+/// Normal equations of `rest` unknowns and gravity: solves for gravity under its constraint, then for the rest.
+bool solve_with_gravity(const Normal& H, const Unknowns& b, int rest, double gravity, Unknowns* solved, Vec3* g,
+                        double* free_gravity) {
+  double L[kMostUnknowns * kMostUnknowns];
+  for (int i = 0; i < rest; ++i)
+    for (int j = 0; j < rest; ++j) L[i * rest + j] = H(i, j);
+  if (!cholesky_factor(L, rest, rest)) return false;
+  double K[3][kMostUnknowns], x[kMostUnknowns];
+  for (int i = 0; i < rest; ++i) {
+    x[i] = b[i];
+    for (int axis = 0; axis < 3; ++axis) K[axis][i] = H(i, rest + axis);
+  }
+  cholesky_substitute(L, rest, rest, x);
+  for (auto& column : K) cholesky_substitute(L, rest, rest, column);
+  Mat3 S;
+  Vec3 q;
+  for (int i = 0; i < 3; ++i) {
+    q[i] = b[rest + i];
+    for (int j = 0; j < 3; ++j) S(i, j) = H(rest + i, rest + j);
+    for (int k = 0; k < rest; ++k) {
+      q[i] -= K[i][k] * b[k];
+      for (int j = 0; j < 3; ++j) S(i, j) -= H(rest + i, k) * K[j][k];
+    }
+  }
+  *free_gravity = (S.inverse() * q).norm();
   if (!constrained_gravity(S, q, gravity, g)) return false;
-  *rest = llt.solve(b.template head<kRest>()) - K * *g;
-  return rest->allFinite();
+  bool finite = true;
+  for (int i = 0; i < rest; ++i) {
+    (*solved)[i] = x[i] - K[0][i] * (*g)[0] - K[1][i] * (*g)[1] - K[2][i] * (*g)[2];
+    finite &= std::isfinite((*solved)[i]);
+  }
+  return finite;
 }
 
 /// Unknowns: velocities of all moments (eliminated one after the other), then scale and gravity.
@@ -114,11 +137,14 @@ Alignment stepwise(std::span<const InertialNode> nodes, const CameraMounting& m,
   b_g -= H_vg.transpose() * inverse * b_v;
   H_g(0, 0) += weight_of(hint);
   b_g(0) += weight_of(hint) * std::exp(hint.log_scale);
-  Eigen::Matrix<double, 1, 1> scale;
+  Normal H = Normal::Zero();
+  Unknowns b = Unknowns::Zero(), scale = Unknowns::Zero();
+  H.topLeftCorner<4, 4>() = H_g;
+  b.head<4>() = b_g;
   Vec3 g;
-  if (!solve_with_gravity<1>(H_g, b_g, gravity, &scale, &g, &out.free_gravity_m_s2) || !(scale[0] > 0)) return out;
+  if (!solve_with_gravity(H, b, 1, gravity, &scale, &g, &out.free_gravity_m_s2) || !(scale[0] > 0)) return out;
   Eigen::Vector4d four;
-  four << scale, g;
+  four << scale[0], g;
   Vec3 v = inverse * (b_v - H_vg * four);
   while (steps > 0) {
     const Eliminated& e = gone[--steps];
@@ -136,8 +162,8 @@ Alignment stepwise(std::span<const InertialNode> nodes, const CameraMounting& m,
 Alignment whole(std::span<const InertialNode> nodes, const CameraMounting& m, const ImuBias& bias, double gravity,
                 const ScaleHint& hint) {
   Alignment out;
-  Eigen::Matrix<double, 10, 10> H = Eigen::Matrix<double, 10, 10>::Zero();
-  Eigen::Matrix<double, 10, 1> b = Eigen::Matrix<double, 10, 1>::Zero();
+  Normal H = Normal::Zero();
+  Unknowns b = Unknowns::Zero();
   Vec3 V = Vec3::Zero(), P = Vec3::Zero();
   Mat3 dV = Mat3::Zero(), dP = Mat3::Zero();
   double t = 0;
@@ -154,15 +180,17 @@ Alignment whole(std::span<const InertialNode> nodes, const CameraMounting& m, co
     Eigen::Matrix<double, 3, 10> A;
     A << -t * Mat3::Identity(), nodes[k + 1].sight.camera - nodes[0].sight.camera, -dP, -0.5 * t * t * Mat3::Identity();
     const Vec3 y = P + (R_next - R_0) * m.t_body_cam_m;
-    H += A.transpose().lazyProduct(A);  // ten rows: operator* would take the blocked product, which allocates
-    b += A.transpose() * y;
+    for (int i = 0; i < kMostUnknowns; ++i) {
+      b[i] += A.col(i).dot(y);
+      for (int j = 0; j < kMostUnknowns; ++j) H(i, j) += A.col(i).dot(A.col(j));
+    }
   }
   H.block<3, 3>(4, 4).diagonal().array() += (kPlaceSigma / kBiasSigma) * (kPlaceSigma / kBiasSigma);
   H(3, 3) += weight_of(hint);
   b(3) += weight_of(hint) * std::exp(hint.log_scale);
-  Eigen::Matrix<double, 7, 1> rest;
+  Unknowns rest = Unknowns::Zero();
   Vec3 g;
-  if (!solve_with_gravity<7>(H, b, gravity, &rest, &g, &out.free_gravity_m_s2) || !(rest[3] > 0)) return out;
+  if (!solve_with_gravity(H, b, 7, gravity, &rest, &g, &out.free_gravity_m_s2) || !(rest[3] > 0)) return out;
   out.ok = true;
   out.log_scale = std::log(rest[3]);
   out.up = -g / gravity;
@@ -188,7 +216,7 @@ Vec3 align_gyro_bias(std::span<const InertialNode> nodes, const CameraMounting& 
       H += d.dR_dbg().transpose() * d.dR_dbg();
       b += d.dR_dbg().transpose() * r;
     }
-    bias += H.llt().solve(b);
+    bias += H.inverse() * b;
   }
   return bias;
 }
