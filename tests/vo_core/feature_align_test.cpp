@@ -42,25 +42,6 @@ TEST(FeatureAlign, FindsASubPixelShift) {
   }
 }
 
-// A picture that is blurred against the patch makes each plain step too short by the same share: 8 of them ended a
-// third of a pixel off.
-TEST(FeatureAlign, ABlurredPictureIsFoundInAFewSteps) {
-  test::Picture sharp = picture(1.3, -0.9, 1.0, 0.0);
-  test::Picture blurred(64, 64, 0);
-  for (int y = 3; y < 61; ++y)
-    for (int x = 3; x < 61; ++x) {
-      int sum = 0;
-      for (int dy = -3; dy <= 3; ++dy)
-        for (int dx = -3; dx <= 3; ++dx) sum += sharp(x + dx, y + dy);
-      blurred(x, y) = static_cast<std::uint8_t>(sum / 49);
-    }
-  Vec2f px(30.0f, 31.0f);
-  const FeatureAlignResult r = align_2d(blurred.view(), reference(30, 31), 8, 4.0f, &px);
-  ASSERT_TRUE(r.converged);
-  EXPECT_NEAR(px.x(), 31.3f, 0.2f);
-  EXPECT_NEAR(px.y(), 30.1f, 0.2f);
-}
-
 TEST(FeatureAlign, BrightnessDoesNotMatter) {
   const test::Picture p = picture(0.8, -0.5, 0.6, 45.0);
   Vec2f px(30.0f, 31.0f);

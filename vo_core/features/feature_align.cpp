@@ -7,14 +7,7 @@
 namespace godwit::vo {
 namespace {
 
-constexpr float kConvergedPx = 0.02f;  // a fourteenth of what an alignment is off by anyhow (match_noise.h)
-// A patch that is blurred against its reference, or sharper, makes each step too short or too long by the same share,
-// in each direction. Two steps tell which: Broyden's update of the steps' scale, unless the second is hardly shorter.
-constexpr float kLeastGained = 0.15f;
-// After three steps a patch that explains less of the picture than a grey square would is not there: of 20,639 such on
-// tum_fr1_xyz 570 would have been found after all.
-constexpr int kHopelessAfter = 2;
-constexpr float kHopeless = 1.0f;
+constexpr float kConvergedPx = 0.015f;
 constexpr float kMinContrast = 2.5f;  // grey levels rms: below, noise decides where the patch lies
 
 // Parameters: shift along `dims` directions, then gain and offset of the brightness.
@@ -88,8 +81,7 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
   H.computeInverseWithCheck(H_inv, invertible, 1e-6f);
   if (!invertible || !H_inv.allFinite()) return result;
 
-  Vec2f p = *px, last_step = Vec2f::Zero(), move = Vec2f::Zero();
-  Eigen::Matrix2f scale = Eigen::Matrix2f::Identity();
+  Vec2f p = *px;
   float gain = 1.0f, offset = mean;
   for (int it = 0; it < max_iterations; ++it) {
     if (!(p.x() >= kPatchHalf && p.y() >= kPatchHalf && p.x() < static_cast<float>(image.width - kPatchHalf - 1) &&
@@ -138,21 +130,11 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
     const float left = std::max(sum(srr) - b.dot(x), 0.0f);
     gain += x(kDims);
     offset += x(kDims + 1);
-    if (it > 0) {
-      const Vec2f gained = step - last_step;
-      const Eigen::RowVector2f row = move.transpose() * scale;
-      const float along = row.dot(gained);
-      if (along > kLeastGained * move.squaredNorm()) scale += (move - scale * gained) * row / along;
-    }
-    last_step = step;
-    move = -scale * step;
-    p += move;
+    p -= step;
     if ((p - *px).squaredNorm() > max_shift_px * max_shift_px) return result;
-    const float residual = std::sqrt(left / 64.0f) / (contrast * std::max(gain, 1 / kMaxGain));
-    if (it >= kHopelessAfter && residual > kHopeless) return result;
-    if (move.squaredNorm() < kConvergedPx * kConvergedPx) {
+    if (step.squaredNorm() < kConvergedPx * kConvergedPx) {
       result.converged = gain > 1 / kMaxGain && gain < kMaxGain;
-      result.residual = residual;
+      result.residual = std::sqrt(left / 64.0f) / (contrast * std::max(gain, 1 / kMaxGain));
       result.gain = gain;
       *px = p;
       return result;

@@ -11,10 +11,8 @@ namespace godwit::vo {
 namespace {
 
 constexpr int kAlignIterations = 8;
-constexpr float kMaxShiftPx = 4.0f;  // on the search level
-// Residual over contrast: zero-mean correlation of 0.7, and of 0.8. Since almost all alignments converge, that they do
-// no longer tells which are alike: with 0.85 severe walkers had 75 poses beyond 5 cm, with 0.70 two.
-constexpr float kMaxResidual = 0.70f;
+constexpr float kMaxShiftPx = 4.0f;    // on the search level
+constexpr float kMaxResidual = 0.85f;  // residual over contrast: zero-mean correlation of about 0.6
 constexpr float kMaxResidualSeed = 0.60f;
 
 // The pixels of a reference patch, from its point.
