@@ -27,8 +27,8 @@ struct BoxList {
   std::array<Box, kMaxBoxes> box{};
   int count = 0;
 
-  std::span<const Box> view() const { return {box.data(), static_cast<std::size_t>(count)}; }
-  std::span<Box> view() { return {box.data(), static_cast<std::size_t>(count)}; }
+  std::span<const Box> view() const { return std::span(box).first(count); }
+  std::span<Box> view() { return std::span(box).first(count); }
   void clear() { count = 0; }
   /// Returns false when full; the box is then dropped.
   bool push(const Box& b) {

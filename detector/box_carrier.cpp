@@ -21,13 +21,6 @@ bool finite(const FeatureMotion& f) {
 BoxCarrier::BoxCarrier(int width, int height, const CarrierLimits& limits)
     : width_(width), height_(height), limits_(limits), history_(kHistory) {}
 
-void BoxCarrier::clear() {
-  carried_.clear();
-  shown_.clear();
-  head_ = held_ = 0;
-  now_ns_ = seen_ns_ = INT64_MIN;
-}
-
 bool BoxCarrier::advance(std::int64_t t_capture_ns, std::span<const FeatureMotion> features,
                          const CameraMotion& camera) {
   if (t_capture_ns <= now_ns_) return false;

@@ -66,8 +66,6 @@ class BoxCarrier {
   std::span<const Box> followed() const { return std::as_const(carried_).view(); }
   /// Time between the detection and the newest picture; INT64_MAX before the first detection.
   std::int64_t age_ns() const { return seen_ns_ == INT64_MIN ? INT64_MAX : now_ns_ - seen_ns_; }
-  /// Drops everything, as after a reset.
-  void clear();
 
  private:
   struct Step {

@@ -14,17 +14,16 @@ BoxMask::BoxMask(int width, int height, int levels, const MaskMargin& margin) : 
   // One row alignment before for the start, one after for readers that take whole vectors.
   std::size_t bytes = 2 * rt::kRowAlignment;
   for (int l = 0; l < levels; ++l) {
-    bytes += static_cast<std::size_t>(row_bytes(width >> l)) * static_cast<std::size_t>(height >> l);
+    bytes += row_bytes(width >> l) * (height >> l);
   }
   storage_.assign(bytes, 0);
   const auto address = reinterpret_cast<std::uintptr_t>(storage_.data());
   std::uint8_t* at = storage_.data() + (rt::kRowAlignment - address % rt::kRowAlignment) % rt::kRowAlignment;
   view_.levels = levels;
   for (int l = 0; l < levels; ++l) {
-    const auto i = static_cast<std::size_t>(l);
-    level_[i] = {at, width >> l, height >> l, row_bytes(width >> l)};
-    view_.level[i] = level_[i];
-    at += static_cast<std::ptrdiff_t>(level_[i].stride) * level_[i].height;
+    level_[l] = {at, width >> l, height >> l, row_bytes(width >> l)};
+    view_.level[l] = level_[l];
+    at += static_cast<std::ptrdiff_t>(level_[l].stride) * level_[l].height;
   }
 }
 
@@ -42,14 +41,14 @@ void BoxMask::mask_box(const Box& box) {
     const int y0 = edge(std::floor((box.y0 - my) * shrink - margin_.level_pixels), image.height);
     const int y1 = edge(std::ceil((box.y1 + my) * shrink + margin_.level_pixels), image.height);
     if (x1 <= x0) continue;
-    for (int y = y0; y < y1; ++y) std::memset(image.row(y) + x0, kDynamic, static_cast<std::size_t>(x1 - x0));
+    for (int y = y0; y < y1; ++y) std::memset(image.row(y) + x0, kDynamic, x1 - x0);
   }
 }
 
 void BoxMask::update(std::span<const Box> boxes, const std::vector<bool>& movable) {
   std::fill(storage_.begin(), storage_.end(), std::uint8_t{0});
   for (const Box& box : boxes) {
-    const bool known = box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < movable.size();
+    const bool known = box.class_id >= 0 && box.class_id < std::ssize(movable);
     if (known && !movable[box.class_id]) continue;
     // Also false for NaN.
     const bool sound = std::isfinite(box.x0) && std::isfinite(box.y0) && std::isfinite(box.x1) &&

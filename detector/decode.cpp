@@ -101,7 +101,7 @@ void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, Box
   candidates_.clear();
   Candidate candidate;
   for (int row = 0; row < rows; ++row) {
-    if (!read_row(output.data() + static_cast<std::size_t>(row) * values, row, fit, &candidate)) continue;
+    if (!read_row(output.data() + row * values, row, fit, &candidate)) continue;
     const Box& b = candidate.box;
     if (b.x0 >= inside.x0 && b.y0 >= inside.y0 && b.x1 <= inside.x1 && b.y1 <= inside.y1)
       candidates_.push_back(candidate);
@@ -109,7 +109,7 @@ void Decoder::decode(std::span<const float> output, const LetterboxFit& fit, Box
   const auto surer = [](const Candidate& a, const Candidate& b) {
     return a.box.score != b.box.score ? a.box.score > b.box.score : a.row < b.row;
   };
-  const std::size_t kept = std::min(candidates_.size(), static_cast<std::size_t>(kMaxCandidates));
+  const std::size_t kept = std::min(candidates_.size(), std::size_t{kMaxCandidates});
   std::partial_sort(candidates_.begin(), candidates_.begin() + static_cast<std::ptrdiff_t>(kept), candidates_.end(),
                     surer);
   candidates_.resize(kept);

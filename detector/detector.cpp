@@ -85,7 +85,7 @@ void Detector::State::letterbox(const PictureView& picture) {
   }
   // The borders stay as they are; only the picture's part is written again.
   const cv::Mat source(picture.height, picture.width, CV_8UC(picture.channels), const_cast<std::uint8_t*>(picture.data),
-                       static_cast<std::size_t>(picture.stride));
+                       picture.stride);
   cv::Mat part = canvas(cv::Rect(fit.left, fit.top, fit.width, fit.height));
   cv::resize(source, part, part.size(), 0, 0, cv::INTER_LINEAR);
 }
@@ -224,8 +224,7 @@ const ModelInfo& Detector::info() const {
   return state_->info;
 }
 bool Detector::movable(int class_id) const {
-  return class_id >= 0 && static_cast<std::size_t>(class_id) < state_->info.movable.size() &&
-         state_->info.movable[class_id];
+  return class_id >= 0 && class_id < std::ssize(state_->info.movable) && state_->info.movable[class_id];
 }
 Backend Detector::backend() const {
   return state_->options.backend;

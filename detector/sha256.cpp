@@ -90,7 +90,7 @@ rt::Result<std::string> sha256_of_file(const std::string& path) {
   while (n > 0) {
     n = read(fd, block.data(), block.size());
     if (n < 0) why = std::strerror(errno);
-    if (n > 0) sum.add({block.data(), static_cast<std::size_t>(n)});
+    if (n > 0) sum.add(std::span(block).first(n));
   }
   close(fd);
   if (!why.empty()) return rt::Error{path + ": " + why};

@@ -19,7 +19,7 @@ struct Tile {
 struct TileList {
   std::array<Tile, kMaxTiles> tile{};
   int count = 0;
-  std::span<const Tile> view() const& { return {tile.data(), static_cast<std::size_t>(count)}; }
+  std::span<const Tile> view() const& { return std::span(tile).first(count); }
   std::span<const Tile> view() const&& = delete;  // it would outlive its list
 };
 

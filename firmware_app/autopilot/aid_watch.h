@@ -23,7 +23,6 @@ class AidWatch {
  private:
   struct Kind {
     bool used = false;
-    std::uint64_t used_count = 0;
     rt::TimeNs t_unused_ns = 0;      ///< it is heard and not used since then; 0: not
     const char* told_why = nullptr;  ///< of the last warning
   };

@@ -19,7 +19,6 @@ constexpr rt::TimeNs kTrackerHangsNs = 500 * rt::kNsPerMs;
 /// The link thread steps every 5 ms; the keeper may wait for a disc or for the log.
 constexpr rt::TimeNs kLinkSilentNs = 500 * rt::kNsPerMs;
 constexpr rt::TimeNs kKeeperSilentNs = 3 * rt::kNsPerSecond;
-constexpr rt::TimeNs kReportPeriodNs = 60 * rt::kNsPerSecond;
 
 const char* bus_state_text(hal::CanState state) {
   switch (state) {
@@ -67,7 +66,7 @@ LinkRunner::LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::L
       service_(std::move(service)),
       sampler_(world_of_level_start(options.settings.link.odometry.R_body_cam)),
       user_stop_(user_stop) {
-  t_next_report_ns_ = rt::monotonic_now_ns() + kReportPeriodNs;
+  t_next_report_ns_ = rt::monotonic_now_ns() + options.report_ns;
   told_.bus_state = hal::CanState::kActive;
   if (options.aids) aids_.emplace(*options.aids, service_->inputs());
 }
@@ -191,9 +190,8 @@ void LinkRunner::watch(const link::LinkStatus& s) {
     tell(LinkLogLevel::kWarning, "the latency grew: set VISO_DELAY_MS anew, or find what slows this computer down");
   }
   const rt::TimeNs now = rt::monotonic_now_ns();
-  if (now >= t_next_report_ns_ || words_asked_.exchange(false, std::memory_order_relaxed) ||
-      (s.latency.grew && !told_.latency.grew)) {
-    t_next_report_ns_ = now + kReportPeriodNs;
+  if (now >= t_next_report_ns_ || (s.latency.grew && !told_.latency.grew)) {
+    t_next_report_ns_ = now + options_.report_ns;
     for (const std::string& line : link_report(s)) tell(LinkLogLevel::kInfo, line);
     for (const std::string& line : aid_words()) tell(LinkLogLevel::kInfo, line);
   }

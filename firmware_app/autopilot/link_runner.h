@@ -31,9 +31,10 @@ using LinkLog = std::function<void(LinkLogLevel, const std::string&)>;
 
 struct LinkRunnerOptions {
   link::LinkSettings settings;
-  LinkLog log;                         ///< null: nobody listens
-  rt::ThreadPlan thread;               ///< of gw-link
-  std::optional<BusAidsOptions> aids;  ///< somebody reads aids(); settings.collect_inputs is then set
+  LinkLog log;                                   ///< null: nobody listens
+  rt::ThreadPlan thread;                         ///< of gw-link
+  rt::TimeNs report_ns = 60 * rt::kNsPerSecond;  ///< so often the log gets its report
+  std::optional<BusAidsOptions> aids;            ///< somebody reads aids(); settings.collect_inputs is then set
   /// Both threads beat in it, and the node's health says when any thread in it is silent. May be null; outlives the
   /// runner.
   rt::Heartbeats* heartbeats = nullptr;
@@ -71,9 +72,6 @@ class LinkRunner final : public FrameTap {
   hal::AidSource* aids() { return aids_ ? &*aids_ : nullptr; }
   /// What became of it, a line a kind; any thread.
   std::vector<std::string> aid_words() const { return aids_ ? aid_report(*aids_) : std::vector<std::string>(); }
-
-  /// The log gets its report at the keeper's next look, not at the end of the minute. Any thread.
-  void ask_for_words() { words_asked_.store(true, std::memory_order_relaxed); }
 
   /// As the autopilot was told last; -1: there was none. Any thread.
   int quality() const { return quality_.load(std::memory_order_relaxed); }
@@ -116,8 +114,7 @@ class LinkRunner final : public FrameTap {
   /// each stands for itself, and one that is seen a look late is told 50 ms late; the link's own watch has told the
   /// silence by then.
   std::atomic<rt::TimeNs> t_tracker_alive_ns_{0};
-  std::atomic<int> quality_{-1};          ///< keeper -> anybody; relaxed, a figure alone
-  std::atomic<bool> words_asked_{false};  ///< anybody -> keeper; relaxed, a flag alone
+  std::atomic<int> quality_{-1};  ///< keeper -> anybody; relaxed, a figure alone
   std::atomic<bool> camera_silent_{false};
   std::atomic<bool> imu_ok_{true};
   std::atomic<bool> detector_ok_{true};

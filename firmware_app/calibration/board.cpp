@@ -28,8 +28,7 @@ std::vector<std::string> split(const std::string& text, char by) {
 }
 
 cv::Mat as_mat(const rt::ImageView& grey) {
-  return {grey.height, grey.width, CV_8UC1, const_cast<std::uint8_t*>(grey.data),
-          static_cast<std::size_t>(grey.stride)};
+  return cv::Mat(grey.height, grey.width, CV_8UC1, const_cast<std::uint8_t*>(grey.data), grey.stride);
 }
 
 /// Corners of black squares that meet, to a hundredth of a pixel: within a third of the way to the nearest other one,

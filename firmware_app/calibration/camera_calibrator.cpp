@@ -35,7 +35,7 @@ std::vector<BoardView> choose(std::vector<BoardView> views) {
     out.push_back(views[next]);
     for (std::size_t i = 0; i < views.size(); ++i)
       distance[i] = std::min(distance[i], mean_distance(views[i], views[next]).value_or(1e9));
-    next = static_cast<std::size_t>(std::max_element(distance.begin(), distance.end()) - distance.begin());
+    next = std::max_element(distance.begin(), distance.end()) - distance.begin();
     if (distance[next] <= 0) break;
   }
   return out;

@@ -99,20 +99,19 @@ std::optional<Readout> measure_readout(const Board& board, const std::vector<Boa
       cv::Mat late(2 * n, 1, CV_64F), off(2 * n, 1, CV_64F);
       straightened[i] = b.points;
       for (int k = 0; k < n; ++k) {
-        const auto at = static_cast<std::size_t>(k);
-        const double row = b.points[at].y / (c.height - 1) - 0.5;
-        late.at<double>(2 * k) = v[at].x * row;
-        late.at<double>(2 * k + 1) = v[at].y * row;
-        off.at<double>(2 * k) = b.points[at].x - put[at].x;
-        off.at<double>(2 * k + 1) = b.points[at].y - put[at].y;
-        straightened[i][at].x -= readout * v[at].x * row;
-        straightened[i][at].y -= readout * v[at].y * row;
+        const double row = b.points[k].y / (c.height - 1) - 0.5;
+        late.at<double>(2 * k) = v[k].x * row;
+        late.at<double>(2 * k + 1) = v[k].y * row;
+        off.at<double>(2 * k) = b.points[k].x - put[k].x;
+        off.at<double>(2 * k + 1) = b.points[k].y - put[k].y;
+        straightened[i][k].x -= readout * v[k].x * row;
+        straightened[i][k].y -= readout * v[k].y * row;
       }
       const cv::Mat model = beside_pose(jacobian, late), seen = beside_pose(jacobian, off);
       shown += model.dot(seen);
       power += model.dot(model);
       scatter += seen.dot(seen);
-      equations += static_cast<std::size_t>(2 * n - 6);
+      equations += 2 * n - 6;
       ++out.pictures;
     }
     if (out.pictures < 10 || !(power > 0)) return std::nullopt;

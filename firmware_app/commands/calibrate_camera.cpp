@@ -78,7 +78,7 @@ rt::Result<Seen> look_into(const std::string& folder, const Board& board, const 
     if (out.width == 0) {
       out.width = decoder.width();
       out.height = decoder.height();
-      pixels.resize(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
+      pixels.resize(out.width * out.height);
     }
     if (decoder.width() != out.width || decoder.height() != out.height) {
       return rt::Error{fmt::format("{} has another size than the pictures before it", file.string())};
@@ -112,7 +112,7 @@ rt::Result<Seen> look_live(const CalibrateArguments& arguments, const Board& boa
                                     [](const std::string& text) { fmt::print(stderr, "\ngodwit: {}\n", text); });
   if (!opened) return opened.error();
   hal::Camera& camera = *opened.value();
-  std::vector<std::uint8_t> pixels(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
+  std::vector<std::uint8_t> pixels(out.width * out.height);
   const rt::MutableImageView grey{pixels.data(), out.width, out.height, out.width};
   const rt::TimeNs until = a.seconds > 0 ? rt::monotonic_now_ns() + static_cast<rt::TimeNs>(a.seconds * 1e9) : 0;
   std::string why;

@@ -16,7 +16,7 @@ constexpr const char* kBackends[] = {"the processor", "CUDA", "CUDA with half pr
 
 /// Median of five detections in a picture of noise, after one that is not counted.
 rt::Result<rt::TimeNs> time_a_picture(detector::Detector* network, int width, int height) {
-  std::vector<std::uint8_t> grey(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+  std::vector<std::uint8_t> grey(width * height);
   std::uint32_t noise = 1;
   for (std::uint8_t& pixel : grey) {
     noise = noise * 1664525U + 1013904223U;

@@ -56,7 +56,7 @@ rt::Result<std::string> LiveReader::next(const std::atomic<bool>& stop) {
     if (n < 0 && (errno == EINTR || errno == EAGAIN)) continue;
     if (n <= 0) return rt::Error{"godwitd has ended"};
     const std::size_t before = text_.size();
-    text_.append(block.data(), static_cast<std::size_t>(n));
+    text_.append(block.data(), n);
     end_ = text_.find('\n', before);
   }
   return std::string();

@@ -167,7 +167,7 @@ bool PageServer::State::read(Call* call) const {
   const ssize_t n = ::recv(call->fd, block.data(), block.size(), 0);
   if (n < 0) return errno == EINTR || errno == EAGAIN || errno == EWOULDBLOCK;
   if (n == 0) return false;
-  call->asked.append(block.data(), static_cast<std::size_t>(n));
+  call->asked.append(block.data(), n);
   if (call->asked.size() > kLongestHead || call->asked.find("\r\n\r\n") != std::string::npos) answer_call(call);
   return true;
 }
@@ -178,7 +178,7 @@ bool PageServer::State::write(Call* call) {
     const ssize_t n = ::send(call->fd, call->reply.data() + call->sent, call->reply.size() - call->sent, MSG_NOSIGNAL);
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) return errno == EAGAIN || errno == EWOULDBLOCK;
-    call->sent += static_cast<std::size_t>(n);
+    call->sent += n;
     call->give_up_ns = rt::monotonic_now_ns() + kPatienceNs;
   }
   return false;

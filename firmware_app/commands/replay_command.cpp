@@ -92,13 +92,7 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->capture_default_str();
   command->add_flag("--sequential", a->sequential,
                     "All stages in one thread in a fixed order: two runs are equal to the bit");
-  command->add_option("--start", a->start, "Leave out the first N pictures")
-      ->type_name("N")
-      ->check(whole_number(0, kManyPictures))
-      ->capture_default_str();
-  command->add_option("--frames", a->frames, "Stop after N pictures (default: all)")
-      ->type_name("N")
-      ->check(whole_number(1, kManyPictures));
+  add_range_options(command, &a->start, &a->frames);
   const auto on_off = [&](const char* name, std::string* value, const char* what) {
     command->add_option(name, *value, what)->check(CLI::IsMember({"on", "off"}));
   };

@@ -45,13 +45,7 @@ void add_sim_command(CLI::App* app, SimArguments* a) {
   command->add_option("--format", a->format, "Pictures: jpg (quality 95) or png (lossless)")
       ->check(CLI::IsMember({"jpg", "png"}))
       ->capture_default_str();
-  command->add_option("--start", a->start, "Leave out the first N pictures")
-      ->type_name("N")
-      ->check(whole_number(0, kManyPictures))
-      ->capture_default_str();
-  command->add_option("--frames", a->frames, "Stop after N pictures (default: all)")
-      ->type_name("N")
-      ->check(whole_number(1, kManyPictures));
+  add_range_options(command, &a->start, &a->frames);
   command->footer(
       "Writes mav0/ (EuRoC/ASL), rgb.txt, camera.yaml, groundtruth.txt (camera), groundtruth_body.txt, imu.txt, "
       "boxes.csv\n"

@@ -33,9 +33,9 @@ int difference(const std::uint8_t* p, const std::uint8_t* q, int n) {
 BoxMotion::BoxMotion(int width, int height)
     : width_(width / kShrink),
       height_(height / kShrink),
-      before_(static_cast<std::size_t>(width_ * height_)),
+      before_(width_ * height_),
       now_(before_.size()),
-      columns_(static_cast<std::size_t>(width_ * kShrink)) {
+      columns_(width_ * kShrink) {
   static_assert(kShrink == 4, "shrink() adds four rows");
   motions_.reserve(kMaxBoxes * kPointsPerBox);
 }

@@ -50,9 +50,6 @@ class DynamicMasks final : public MaskSource, public DetectorStage {
     turn_.note_tracked(frame.t_capture_ns, frame.map_id, frame.T_cam_world);
   }
 
-  /// Things that stand still in the scene and are not masked (parked_boxes.h). Tracker thread.
-  int parked() const { return parked_.parked_count(); }
-
   /// Sizes of the networks' inputs (ModelInfo::square_px); the same where there is one network.
   int input_px() const { return large_.info().square_px(); }
   int small_input_px() const { return small_ != nullptr ? small_->info().square_px() : input_px(); }

@@ -25,10 +25,6 @@ bool ParkedBoxes::parked(int track) const {
   return false;
 }
 
-int ParkedBoxes::parked_count() const {
-  return static_cast<int>(std::count_if(tracks_.begin(), tracks_.end(), [](const Track& t) { return t.parked; }));
-}
-
 ParkedBoxes::Frame* ParkedBoxes::frame_of(rt::TimeNs t_ns) {
   for (Frame& f : frames_)
     if (f.t_ns == t_ns) return &f;
@@ -133,8 +129,7 @@ void ParkedBoxes::take_detection(rt::TimeNs t_capture_ns, std::span<detector::Bo
   // Old tracks first: a new one could take the place of one that comes later in the list.
   for (const bool begin : {false, true}) {
     for (detector::Box& box : boxes) {
-      const bool may =
-          box.class_id >= 0 && static_cast<std::size_t>(box.class_id) < may_park_.size() && may_park_[box.class_id];
+      const bool may = box.class_id >= 0 && box.class_id < std::ssize(may_park_) && may_park_[box.class_id];
       // What is held keeps its track; that it was not seen is no sighting.
       if (!may || box.track >= 0 || (begin && box.missed > 0)) continue;
       Track* const track = begin ? new_track() : match(*frame, box, taken);

@@ -60,7 +60,6 @@ class ParkedBoxes {
   void take_detection(rt::TimeNs t_capture_ns, std::span<detector::Box> boxes);
 
   bool parked(int track) const;
-  int parked_count() const;
 
  private:
   struct TrackedBox {
@@ -85,7 +84,7 @@ class ParkedBoxes {
     int count = 0;
     std::array<Sighting, kSightings> sightings;
 
-    std::span<const Sighting> view() const { return {sightings.data(), static_cast<std::size_t>(count)}; }
+    std::span<const Sighting> view() const { return std::span(sightings).first(count); }
     void drop_oldest(int n) {
       std::move(sightings.begin() + n, sightings.begin() + count, sightings.begin());
       count -= n;

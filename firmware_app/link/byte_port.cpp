@@ -58,7 +58,7 @@ class UdpPort final : public BytePort {
   void flush() override {}  // a datagram is gone or refused at once
   std::size_t receive(std::span<std::uint8_t> into) override {
     const ssize_t n = recv(fd_, into.data(), into.size(), MSG_DONTWAIT);
-    return n > 0 ? static_cast<std::size_t>(n) : 0;
+    return n > 0 ? n : 0;
   }
   int descriptor() const override { return fd_; }
   void maintain(rt::TimeNs now_ns) override {
@@ -117,13 +117,13 @@ class SerialPort final : public BytePort {
         if (n == 0 || !passing(errno)) leave();
         return;
       }
-      queue_.consume(static_cast<std::size_t>(n));
+      queue_.consume(n);
     }
   }
   std::size_t receive(std::span<std::uint8_t> into) override {
     if (fd_ < 0) return 0;
     const ssize_t n = read(fd_, into.data(), into.size());
-    if (n > 0) return static_cast<std::size_t>(n);
+    if (n > 0) return n;
     if (n == 0 || !passing(errno)) leave();
     return 0;
   }

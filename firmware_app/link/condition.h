@@ -4,7 +4,7 @@
 #include <array>
 #include <cstdint>
 
-#include "firmware_app/link/dronecan/node.h"
+#include "firmware_app/link/dronecan_node.h"
 
 namespace godwit::link {
 

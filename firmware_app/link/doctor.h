@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "firmware_app/link/mavlink/endpoint.h"
+#include "firmware_app/link/mavlink_endpoint.h"
 #include "hal/rt/time.h"
 
 namespace godwit::link {

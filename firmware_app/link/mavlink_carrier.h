@@ -4,9 +4,9 @@
 #include <cstdint>
 
 #include "firmware_app/link/byte_port.h"
-#include "firmware_app/link/dronecan/node.h"
 #include "firmware_app/link/dronecan/types.h"
-#include "firmware_app/link/mavlink/endpoint.h"
+#include "firmware_app/link/dronecan_node.h"
+#include "firmware_app/link/mavlink_endpoint.h"
 #include "firmware_app/link/parameters.h"
 #include "firmware_app/link/tx_queue.h"
 

@@ -182,8 +182,8 @@ void EventRecorder::State::keep(const rt::FrameHandle& frame) {
   // The place is ours until added().
   const rt::ImageView grey = pool->grey(frame.slot);
   for (int y = 0; y < grey.height; ++y) {
-    const auto width = static_cast<std::size_t>(grey.width);
-    std::memcpy(to + static_cast<std::size_t>(y) * width, grey.row(y), width);
+    const std::size_t width = grey.width;
+    std::memcpy(to + y * width, grey.row(y), width);
   }
   const std::lock_guard<std::mutex> lock(mutex);
   ring->added(frame.meta);
@@ -283,8 +283,7 @@ rt::Result<std::unique_ptr<EventRecorder>> EventRecorder::start(EventRecorderOpt
   const hal::CameraCalibration& c = options.calibration;
   const double seconds = options.before_s + options.after_s + 1;
   const std::size_t wanted = static_cast<std::size_t>(std::ceil(seconds * (c.fps > 0 ? c.fps : kUsualFps)));
-  const std::size_t one =
-      static_cast<std::size_t>(pool->layout().width) * static_cast<std::size_t>(pool->layout().height);
+  const std::size_t one = pool->layout().width * pool->layout().height;
   const std::size_t affordable = options.memory_bytes / one;
   if (affordable < 2) {
     return rt::Error{fmt::format("event recorder: recorder.memory_mb holds {} pictures of {} x {}", affordable,

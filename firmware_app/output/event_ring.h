@@ -50,7 +50,7 @@ class EventRing {
 
  private:
   explicit EventRing(const Size& size) : size_(size) {}
-  std::size_t index(std::uint64_t number) const { return static_cast<std::size_t>(number % size_.pictures); }
+  std::size_t index(std::uint64_t number) const { return number % size_.pictures; }
   std::size_t picture_bytes() const;
 
   const Size size_;

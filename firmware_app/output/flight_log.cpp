@@ -125,7 +125,7 @@ bool FlightLog::State::write(std::string_view bytes) {
   while (!bytes.empty()) {
     const ssize_t n = ::write(fd, bytes.data(), bytes.size());
     if (n > 0) {
-      bytes.remove_prefix(static_cast<std::size_t>(n));
+      bytes.remove_prefix(n);
     } else if (n < 0 && errno != EINTR) {
       return false;
     }

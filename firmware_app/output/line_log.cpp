@@ -57,7 +57,7 @@ struct LineLog::State {
     while (done < text.size()) {
       const ssize_t n = ::write(fd, text.data() + done, text.size() - done);
       if (n > 0) {
-        done += static_cast<std::size_t>(n);
+        done += n;
       } else if (n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) {
         pollfd room{fd, POLLOUT, 0};
         poll(&room, 1, kRetryMs);

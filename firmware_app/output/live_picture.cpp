@@ -42,10 +42,7 @@ void add_runs(const vo::CoarseMask& mask, std::string* out) {
 }  // namespace
 
 LivePicture::LivePicture(int width, int height)
-    : step_(step_of(width, height)),
-      width_(width / step_),
-      height_(height / step_),
-      grey_(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_)) {
+    : step_(step_of(width, height)), width_(width / step_), height_(height / step_), grey_(width_ * height_) {
   mask_.cell.fill(0);
 }
 
@@ -53,9 +50,9 @@ void LivePicture::look(const rt::FrameMeta& frame, const rt::ImageView& grey, co
                        std::span<const vo::FrameFeature> features) {
   if (!wanted_.load(std::memory_order_acquire)) return;
   meta_ = frame;
-  const auto width = static_cast<std::size_t>(width_);
+  const std::size_t width = width_;
   for (int y = 0; y < std::min(height_, grey.height / step_); ++y) {
-    std::uint8_t* const to = grey_.data() + static_cast<std::size_t>(y) * width;
+    std::uint8_t* const to = grey_.data() + y * width;
     const std::uint8_t* const from = grey.row(y * step_);
     if (step_ == 1) {
       std::memcpy(to, from, width);

@@ -114,7 +114,7 @@ bool LiveServer::State::send_rest(Reader* reader, rt::TimeNs now_ns) {
                              MSG_DONTWAIT | MSG_NOSIGNAL);
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) return n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) && now_ns - reader->t_taken_ns < kPatienceNs;
-    reader->sent += static_cast<std::size_t>(n);
+    reader->sent += n;
     reader->t_taken_ns = now_ns;
   }
   return true;
@@ -126,7 +126,7 @@ bool LiveServer::State::hear(Reader* reader) {
   const ssize_t n = ::recv(reader->fd, said.data(), said.size(), MSG_DONTWAIT);
   if (n < 0) return errno == EINTR || errno == EAGAIN || errno == EWOULDBLOCK;
   if (n == 0) reader->silent = true;  // and may read on
-  reader->asked.append(said.data(), static_cast<std::size_t>(n));
+  reader->asked.append(said.data(), n);
   if (reader->asked.find(kAskView) != std::string::npos) reader->views = true;
   const std::size_t end = reader->asked.rfind('\n');
   reader->asked.erase(0, end == std::string::npos ? 0 : end + 1);

@@ -24,8 +24,8 @@ void ProgressBar::show(std::int64_t done, const char* state) {
   const rt::TimeNs now = rt::monotonic_now_ns();
   if (now - last_ns_ < 100 * rt::kNsPerMs && done < total_) return;
   last_ns_ = now;
-  const auto filled = static_cast<std::size_t>(kWidth * done / total_);
-  const std::string bar = std::string(filled, '#') + std::string(static_cast<std::size_t>(kWidth) - filled, '.');
+  const std::size_t filled = kWidth * done / total_;
+  const std::string bar = std::string(filled, '#') + std::string(kWidth - filled, '.');
   std::fprintf(stderr, "\r[%s] %lld/%lld %-14s", bar.c_str(), static_cast<long long>(done),
                static_cast<long long>(total_), state);
   std::fflush(stderr);

@@ -172,7 +172,7 @@ void Recording::write_pictures(std::size_t writer) {
       continue;
     }
     const rt::MutableImageView grey = pool_->grey(job.slot);
-    const cv::Mat picture(grey.height, grey.width, CV_8U, grey.data, static_cast<std::size_t>(grey.stride));
+    const cv::Mat picture(grey.height, grey.width, CV_8U, grey.data, grey.stride);
     const std::string file = fmt::format("{}/{}.png", data_folder(), job.meta.t_capture_ns);
     bool done = false;
     try {

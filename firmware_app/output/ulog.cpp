@@ -55,12 +55,6 @@ std::size_t field_bytes(std::string_view type) {
   return found != kTypes.end() ? found->bytes * count : 0;
 }
 
-std::size_t sample_bytes(std::span<const Field> fields) {
-  std::size_t sum = 0;
-  for (const Field& f : fields) sum += field_bytes(f.type);
-  return sum;
-}
-
 void append_header(rt::TimeNs t_start_ns, std::string* out) {
   out->append(reinterpret_cast<const char*>(kMagic.data()), kMagic.size());
   put(static_cast<std::uint64_t>(t_start_ns / 1000), out);

@@ -20,8 +20,6 @@ struct Field {
 
 /// Bytes of one field's type; 0: there is no such type.
 std::size_t field_bytes(std::string_view type);
-/// Bytes of one sample.
-std::size_t sample_bytes(std::span<const Field> fields);
 
 // Each appends one whole message, or what a file begins with. What does not fit into a message (65,535 bytes; names:
 // 255) is cut.

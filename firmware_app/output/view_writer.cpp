@@ -11,8 +11,7 @@ const cv::Scalar kCorner(60, 220, 60), kEdgelet(0, 215, 255), kShaded(255, 120, 
 
 cv::Mat colour_of(const rt::ImageView& grey) {
   // OpenCV takes no pointer to what it only reads; the picture is not written to.
-  const cv::Mat view(grey.height, grey.width, CV_8UC1, const_cast<std::uint8_t*>(grey.data),
-                     static_cast<std::size_t>(grey.stride));
+  const cv::Mat view(grey.height, grey.width, CV_8UC1, const_cast<std::uint8_t*>(grey.data), grey.stride);
   cv::Mat out;
   cv::cvtColor(view, out, cv::COLOR_GRAY2BGR);
   return out;

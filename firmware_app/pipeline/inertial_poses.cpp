@@ -136,7 +136,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   seen.relative_covariance = result.relative.covariance;
   if (result.relative.keyframe_id != 0) seen.relative_age_ns = t_ns - shift_ns_ - result.relative.t_keyframe_ns;
   seen.median_depth = result.median_depth;
-  seen.points = {result.points.at.data(), static_cast<std::size_t>(result.points.count)};
+  seen.points = std::span(result.points.at).first(result.points.count);
   seen.map_moved = result.map_moved;
   seen.moved_by = result.moved_by;
   seen.turned_by = result.turned_by;

@@ -1,6 +1,7 @@
 // What numbers on the command line may be, and the words when they are not.
 #pragma once
 
+#include <CLI/App.hpp>
 #include <CLI/Validators.hpp>
 #include <charconv>
 #include <cstdint>
@@ -36,6 +37,18 @@ inline CLI::Validator number(double least, double most) {
 
 /// Pictures, passes and the like.
 constexpr std::int64_t kManyPictures = 1'000'000'000;
+/// Which pictures: --start and --frames.
+template <typename Number>
+void add_range_options(CLI::App* command, Number* start, Number* frames) {
+  command->add_option("--start", *start, "Leave out the first N pictures")
+      ->type_name("N")
+      ->check(whole_number(0, kManyPictures))
+      ->capture_default_str();
+  command->add_option("--frames", *frames, "Stop after N pictures (default: all)")
+      ->type_name("N")
+      ->check(whole_number(1, kManyPictures));
+}
+
 /// Of a simulated world.
 constexpr std::int64_t kLastSeed = 1'000'000'000;
 /// A day: as long as anything runs that ends by itself [s].

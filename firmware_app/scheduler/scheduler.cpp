@@ -53,7 +53,7 @@ std::optional<Rung> Scheduler::next_down() const {
 
 bool Scheduler::slipped_often(rt::TimeNs now_ns, int count) const {
   if (slip_count_ < count) return false;
-  const auto oldest = static_cast<std::size_t>((slip_count_ - count) % kSlipsToGoBlind);
+  const std::size_t oldest = (slip_count_ - count) % kSlipsToGoBlind;
   return now_ns - slips_[oldest] < kSlipWindowNs;
 }
 

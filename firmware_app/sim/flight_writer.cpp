@@ -230,8 +230,7 @@ rt::Result<FlightWritten> write_flight(const sim::Flight& flight, const FlightWr
     return rt::Error{
         fmt::format("the flight has {} pictures, none is left behind the first {}", camera->frames(), options.start)};
   camera->skip_to(options.start);
-  std::vector<std::uint8_t> pixels(static_cast<std::size_t>(camera->width()) *
-                                   static_cast<std::size_t>(camera->height()));
+  std::vector<std::uint8_t> pixels(camera->width() * camera->height());
   const rt::MutableImageView grey{pixels.data(), camera->width(), camera->height(), camera->width()};
   const cv::Mat picture(grey.height, grey.width, CV_8U, pixels.data());
   std::string rgb = "# timestamp filename\n", asl = "#timestamp [ns],filename\n", boxes = boxes_head();

@@ -25,8 +25,8 @@ rt::Result<void> FlownCamera::render_ahead(const std::atomic<bool>& stop) {
   if (const auto room = room_for_pictures(left_, width(), height()); !room) {
     return rt::Error{"--render-ahead: " + room.error().message + "; fly fewer with --frames"};
   }
-  const std::size_t bytes = static_cast<std::size_t>(width()) * static_cast<std::size_t>(height());
-  ahead_.resize(static_cast<std::size_t>(left_));
+  const std::size_t bytes = width() * height();
+  ahead_.resize(left_);
   ProgressBar bar(left_);
   for (std::size_t i = 0; i < ahead_.size(); ++i) {
     if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted; nothing was written"};
@@ -47,9 +47,9 @@ void FlownCamera::draw(const rt::MutableImageView& grey, Drawn* drawn) {
 void FlownCamera::fetch(const rt::MutableImageView& grey, Drawn* drawn) {
   *drawn = std::move(ahead_[next_ahead_++]);
   if (drawn->status != hal::CameraStatus::kFrame || grey.data == nullptr) return;
-  const auto row_bytes = static_cast<std::size_t>(width());
+  const std::size_t row_bytes = width();
   for (int y = 0; y < height(); ++y) {
-    std::memcpy(grey.row(y), drawn->pixels.get() + static_cast<std::size_t>(y) * row_bytes, row_bytes);
+    std::memcpy(grey.row(y), drawn->pixels.get() + y * row_bytes, row_bytes);
   }
 }
 

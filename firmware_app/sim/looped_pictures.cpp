@@ -11,15 +11,15 @@ rt::Result<std::unique_ptr<LoopedPictures>> LoopedPictures::record(hal::Camera* 
                                                                    const Options& options,
                                                                    const std::atomic<bool>& stop) {
   std::unique_ptr<LoopedPictures> out(new LoopedPictures(source->width(), source->height(), options));
-  const std::size_t bytes = static_cast<std::size_t>(source->width()) * static_cast<std::size_t>(source->height());
+  const std::size_t bytes = source->width() * source->height();
   out->pixels_ = std::make_shared<std::vector<std::uint8_t>>();
-  out->pixels_->reserve(bytes * static_cast<std::size_t>(pictures));
+  out->pixels_->reserve(bytes * pictures);
   hal::CameraStatus status = hal::CameraStatus::kFrame;
   while (out->count_ < pictures && status != hal::CameraStatus::kEnd) {
     if (stop.load(std::memory_order_relaxed)) return rt::Error{"interrupted while the pictures were made"};
-    out->pixels_->resize(bytes * static_cast<std::size_t>(out->count_ + 1));
-    const rt::MutableImageView grey{out->pixels_->data() + bytes * static_cast<std::size_t>(out->count_),
-                                    source->width(), source->height(), source->width()};
+    out->pixels_->resize(bytes * (out->count_ + 1));
+    const rt::MutableImageView grey{out->pixels_->data() + bytes * out->count_, source->width(), source->height(),
+                                    source->width()};
     hal::CapturedFrame frame;
     status = source->next(grey, nullptr, rt::kNsPerSecond, &frame, nullptr);
     if (status != hal::CameraStatus::kFrame) continue;
@@ -59,14 +59,14 @@ hal::CameraStatus LoopedPictures::next(const rt::MutableImageView& grey, std::ui
   // 0 1 2 3 2 1 0 1 ..
   const std::int64_t period = 2 * (static_cast<std::int64_t>(count_) - 1);
   const std::int64_t place = next_ % period;
-  const auto picture = static_cast<std::size_t>(place < count_ ? place : period - place);
+  const std::size_t picture = place < count_ ? place : period - place;
   frame->t_capture_ns = due;
   frame->t_source_ns = due - start_ns_;
   frame->sequence = static_cast<std::uint32_t>(next_++);
   if (grey.data == nullptr) return hal::CameraStatus::kFrame;
-  const auto row_bytes = static_cast<std::size_t>(width_);
-  const std::uint8_t* from = pixels_->data() + picture * row_bytes * static_cast<std::size_t>(height_);
-  for (int y = 0; y < height_; ++y) std::memcpy(grey.row(y), from + static_cast<std::size_t>(y) * row_bytes, row_bytes);
+  const std::size_t row_bytes = width_;
+  const std::uint8_t* from = pixels_->data() + picture * row_bytes * height_;
+  for (int y = 0; y < height_; ++y) std::memcpy(grey.row(y), from + y * row_bytes, row_bytes);
   return hal::CameraStatus::kFrame;
 }
 

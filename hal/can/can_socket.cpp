@@ -1,6 +1,7 @@
 #include "hal/can/can_socket.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstring>
 #include <string>
 #include <sys/socket.h>
@@ -10,6 +11,19 @@ namespace godwit::hal {
 void count_overflow(int fd) {
   const int on = 1;
   setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
+}
+
+CanSend send_datagram(int fd, std::span<const std::uint8_t> bytes, CanCounters* counters) {
+  if (::send(fd, bytes.data(), bytes.size(), MSG_DONTWAIT) == std::ssize(bytes)) {
+    ++counters->sent;
+    return CanSend::kSent;
+  }
+  if (errno == EAGAIN || errno == ENOBUFS || errno == EINTR) {
+    ++counters->send_full;
+    return CanSend::kFull;
+  }
+  ++counters->send_failed;
+  return CanSend::kDown;
 }
 
 CanDatagram receive_datagram(int fd, std::span<std::uint8_t> into, std::uint64_t* overflow) {

@@ -25,6 +25,9 @@ struct CanDatagram {
   sockaddr_in from{};  ///< UDP
 };
 
+/// One datagram without waiting, counted. kDown: it cannot be sent, errno says why.
+CanSend send_datagram(int fd, std::span<const std::uint8_t> bytes, CanCounters* counters);
+
 /// One datagram without waiting; *overflow becomes what the kernel counted, where it says so.
 CanDatagram receive_datagram(int fd, std::span<std::uint8_t> into, std::uint64_t* overflow);
 

@@ -128,17 +128,9 @@ CanSend MulticastBus::send(const CanFrame& frame) {
   if (send_fd_ < 0) return CanSend::kDown;
   MulticastDatagram datagram;
   const std::size_t length = encode_datagram(frame, &datagram);
-  if (::send(send_fd_, datagram.data(), length, MSG_DONTWAIT) == static_cast<ssize_t>(length)) {
-    ++counters_.sent;
-    return CanSend::kSent;
-  }
-  if (errno == EAGAIN || errno == ENOBUFS || errno == EINTR) {
-    ++counters_.send_full;
-    return CanSend::kFull;
-  }
-  ++counters_.send_failed;
-  disconnect();
-  return CanSend::kDown;
+  const CanSend sent = send_datagram(send_fd_, std::span(datagram).first(length), &counters_);
+  if (sent == CanSend::kDown) disconnect();
+  return sent;
 }
 
 bool MulticastBus::receive(CanFrame* frame) {
@@ -152,7 +144,7 @@ bool MulticastBus::receive(CanFrame* frame) {
       return false;
     }
     if (got.from.sin_port == own_port_) continue;
-    if (got.truncated || !decode_datagram({datagram.data(), static_cast<std::size_t>(got.size)}, frame)) {
+    if (got.truncated || !decode_datagram(std::span(datagram).first(got.size), frame)) {
       ++counters_.receive_malformed;
       continue;
     }

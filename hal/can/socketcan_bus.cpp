@@ -108,15 +108,8 @@ CanSend SocketCanBus::send(const CanFrame& frame) {
   raw.flags = frame.fd ? CANFD_BRS : 0;
   std::copy_n(frame.data.begin(), frame.length, raw.data);
   const std::size_t size = frame.fd ? CANFD_MTU : CAN_MTU;
-  if (::send(fd_, &raw, size, MSG_DONTWAIT) == static_cast<ssize_t>(size)) {
-    ++counters_.sent;
-    return CanSend::kSent;
-  }
-  if (errno == EAGAIN || errno == ENOBUFS || errno == EINTR) {
-    ++counters_.send_full;
-    return CanSend::kFull;
-  }
-  ++counters_.send_failed;
+  const CanSend sent = send_datagram(fd_, {reinterpret_cast<const std::uint8_t*>(&raw), size}, &counters_);
+  if (sent != CanSend::kDown) return sent;
   if (errno == EINVAL || errno == EMSGSIZE) return CanSend::kRefused;
   if (reopen_ || errno != ENETDOWN) disconnect();
   return CanSend::kDown;

@@ -19,8 +19,8 @@ void FramePool::FreeDeleter::operator()(std::uint8_t* p) const {
 
 void FrameReturn::give_back(int slot, int count) {
   assert(slot >= 0 && slot < pool_->slots() && count > 0);
-  const bool pushed = pool_->returns_[static_cast<std::size_t>(reader_)]->try_push(
-      {static_cast<std::int16_t>(slot), static_cast<std::int16_t>(count)});
+  const bool pushed =
+      pool_->returns_[reader_]->try_push({static_cast<std::int16_t>(slot), static_cast<std::int16_t>(count)});
   assert(pushed);  // see ReturnRing
   static_cast<void>(pushed);
 }
@@ -48,14 +48,14 @@ Result<std::unique_ptr<FramePool>> FramePool::create(const Layout& layout) {
   return pool;
 }
 
-FramePool::FramePool(const Layout& layout) : layout_(layout), slots_(static_cast<std::size_t>(layout.slots)) {
-  stride_ = static_cast<int>(round_up(static_cast<std::size_t>(layout.width)));
+FramePool::FramePool(const Layout& layout) : layout_(layout), slots_(layout.slots) {
+  stride_ = static_cast<int>(round_up(layout.width));
   // SIMD may read one vector past the last pixel of each part: that gap belongs to the part.
-  grey_bytes_ = static_cast<std::size_t>(stride_) * static_cast<std::size_t>(layout.height) + kRowAlignment;
-  const std::size_t pixels = static_cast<std::size_t>(layout.width) * static_cast<std::size_t>(layout.height);
+  grey_bytes_ = std::size_t{1} * stride_ * layout.height + kRowAlignment;
+  const std::size_t pixels = layout.width * layout.height;
   slot_bytes_ = round_up(grey_bytes_) + round_up(layout.pyramid_bytes) + kRowAlignment +
                 (layout.colour ? round_up(pixels * 3) + kRowAlignment : 0);
-  const std::size_t total = slot_bytes_ * static_cast<std::size_t>(layout.slots);
+  const std::size_t total = slot_bytes_ * layout.slots;
   memory_.reset(static_cast<std::uint8_t*>(std::aligned_alloc(kRowAlignment, total)));
   if (memory_ != nullptr) std::memset(memory_.get(), 0, total);  // touched: no page fault once armed
   const int rings = layout.readers + (layout.onlooker ? 1 : 0);
@@ -68,7 +68,7 @@ void FramePool::collect() {
     Return r{};
     // Bounded: a ring holds no more than the references that are out.
     while (ring->try_pop(&r)) {
-      Slot& slot = slots_[static_cast<std::size_t>(r.slot)];
+      Slot& slot = slots_[r.slot];
       assert(slot.references >= r.count);  // given back twice otherwise
       slot.references -= r.count;
       if (slot.references != 0) continue;
@@ -85,7 +85,7 @@ int FramePool::acquire() {
   if (free < fewest_free_.load(std::memory_order_relaxed)) fewest_free_.store(free, std::memory_order_relaxed);
   for (int i = 0; i < layout_.slots; ++i) {
     const int slot = (next_ + i) % layout_.slots;
-    Slot& s = slots_[static_cast<std::size_t>(slot)];
+    Slot& s = slots_[slot];
     if (s.taken) continue;
     s.taken = true;
     ++taken_;
@@ -97,13 +97,13 @@ int FramePool::acquire() {
 }
 
 void FramePool::hand_out(int slot, int references) {
-  Slot& s = slots_[static_cast<std::size_t>(slot)];
+  Slot& s = slots_[slot];
   assert(s.taken && s.references == 0 && references > 0);
   s.references = references;
 }
 
 void FramePool::cancel(int slot) {
-  Slot& s = slots_[static_cast<std::size_t>(slot)];
+  Slot& s = slots_[slot];
   assert(s.taken && s.references == 0);
   s.taken = false;
   --taken_;
@@ -121,7 +121,7 @@ FrameReturn FramePool::onlooker() {
 
 MutableImageView FramePool::grey(int slot) const {
   assert(slot >= 0 && slot < layout_.slots);
-  return {memory_.get() + slot_bytes_ * static_cast<std::size_t>(slot), layout_.width, layout_.height, stride_};
+  return {memory_.get() + slot_bytes_ * slot, layout_.width, layout_.height, stride_};
 }
 
 std::uint8_t* FramePool::pyramid_storage(int slot) const {

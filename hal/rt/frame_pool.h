@@ -90,8 +90,8 @@ class FramePool {
   std::uint8_t* pyramid_storage(int slot) const;
   std::size_t pyramid_bytes() const { return layout_.pyramid_bytes; }
   std::uint8_t* bgr(int slot) const;  ///< null without colour; width * 3 bytes a row, no padding
-  FrameMeta& meta(int slot) { return slots_[static_cast<std::size_t>(slot)].meta; }
-  const FrameMeta& meta(int slot) const { return slots_[static_cast<std::size_t>(slot)].meta; }
+  FrameMeta& meta(int slot) { return slots_[slot].meta; }
+  const FrameMeta& meta(int slot) const { return slots_[slot].meta; }
 
   int slots() const { return layout_.slots; }
   const Layout& layout() const { return layout_; }

@@ -27,7 +27,7 @@ Result<std::string> read_small_file(const std::string& path, std::size_t most_by
     while (n > 0 && size < text.size()) {
       n = read(fd, text.data() + size, text.size() - size);
       if (n < 0) why = std::strerror(errno);
-      if (n > 0) size += static_cast<std::size_t>(n);
+      if (n > 0) size += n;
     }
     text.resize(size);
     if (size > most_bytes) why = "larger than " + std::to_string(most_bytes) + " bytes";

@@ -30,7 +30,7 @@ std::string apply_plan(pthread_t thread, const char* name, const ThreadPlan& pla
     cpu_set_t set;
     CPU_ZERO(&set);
     for (const int cpu : plan.cpus) {
-      if (cpu >= 0 && cpu < CPU_SETSIZE) CPU_SET(static_cast<std::size_t>(cpu), &set);
+      if (cpu >= 0 && cpu < CPU_SETSIZE) CPU_SET(cpu, &set);
     }
     const int error = pthread_setaffinity_np(thread, sizeof(set), &set);
     if (error != 0) refused.append("processors ").append(joined(plan.cpus)).append(": ").append(std::strerror(error));

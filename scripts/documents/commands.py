@@ -69,7 +69,7 @@ class Known:
                     return None
                 return set(re.findall(r'(?<![\w-])--?[a-zA-Z][\w-]*', told.stdout)) if told.returncode == 0 else None
             return self.once(tuple(command), ask)
-        patterns = ('benchmarks/latency/*.cpp',) if program == 'godwit-latency' else ('firmware_app/**/*.cpp',)
+        patterns = ('benchmarks/latency/*.cpp',) if program == 'godwit-latency' else ('firmware_app/**/*.cpp', 'firmware_app/**/*.h')
         table = set(re.findall(r'"(?:-\w,)?(--[\w-]+)"', self.sources(*patterns)))
         return table | {'--help', '-h', '--version'}
 
@@ -80,7 +80,7 @@ class Known:
         return self.once('all', make)
 
     def program_options_of_sources(self):
-        return set(re.findall(r'"(?:-\w,)?(--[\w-]+)"', self.sources('firmware_app/**/*.cpp', 'benchmarks/**/*.cpp'))) | \
+        return set(re.findall(r'"(?:-\w,)?(--[\w-]+)"', self.sources('firmware_app/**/*.cpp', 'firmware_app/**/*.h', 'benchmarks/**/*.cpp'))) | \
             {'--help', '--version'}
 
     def scenarios(self):

@@ -28,6 +28,7 @@ class LinkRunnerTest : public ::testing::Test {
     options.log = [this](LinkLogLevel, const std::string&) {
       while (log_hangs_.load()) rt::sleep_until_ns(rt::monotonic_now_ns() + rt::kNsPerMs);
     };
+    options.report_ns = 100 * rt::kNsPerMs;
     options.abandon = [this](const char* thread) {
       abandoned_ = thread;  // a program would end here
       log_hangs_.store(false);
@@ -98,7 +99,6 @@ TEST_F(LinkRunnerTest, AThreadThatFellSilentIsAFailureOfTheProcess) {
 
 TEST_F(LinkRunnerTest, AKeeperThatHangsIsNamedAndKeepsNoEndAway) {
   log_hangs_.store(true);
-  runner_->ask_for_words();
   const rt::TimeNs begin = rt::monotonic_now_ns();
   while (heartbeats_.silent(rt::monotonic_now_ns()).name == nullptr &&
          rt::monotonic_now_ns() - begin < 20 * rt::kNsPerSecond) {

@@ -169,17 +169,21 @@ TEST(Inputs, AReaderThatWasAwayHearsWhatComesNowNotWhatWas) {
   EXPECT_FALSE(take_input(ring.get(), &input));
 }
 
-TEST(Inputs, AreScaledAndNonsenseIsRefused) {
+/// The message over the line; false where nothing is made of it.
+template <typename Message>
+bool from_mavlink(const Message& message, AutopilotInput* input) {
   mavlink::Sender sender{1, 1, 0};
   mavlink::MessageBytes bytes;
-  AutopilotInput input;
+  mavlink::Parser parser;
   bool taken = false;
-  const auto give = [&](const auto& message) {
-    mavlink::Parser parser;
-    const std::size_t size = mavlink::encode(message, &sender, &bytes);
-    parser.feed({bytes.data(), size}, [&](const mavlink::RawMessage& raw) { taken = input_from_mavlink(raw, &input); });
-    return taken;
-  };
+  const std::size_t size = mavlink::encode(message, &sender, &bytes);
+  parser.feed({bytes.data(), size}, [&](const mavlink::RawMessage& raw) { taken = input_from_mavlink(raw, input); });
+  return taken;
+}
+
+TEST(Inputs, AreScaledAndNonsenseIsRefused) {
+  AutopilotInput input;
+  const auto give = [&](const auto& message) { return from_mavlink(message, &input); };
   mavlink::RawImu imu;
   imu.time_usec = 12345;
   imu.zacc = -1000;
@@ -253,16 +257,8 @@ TEST(Inputs, AreScaledAndNonsenseIsRefused) {
 }
 
 TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
-  mavlink::Sender sender{1, 1, 0};
-  mavlink::MessageBytes bytes;
   AutopilotInput input;
-  bool taken = false;
-  const auto give = [&](const auto& message) {
-    mavlink::Parser parser;
-    const std::size_t size = mavlink::encode(message, &sender, &bytes);
-    parser.feed({bytes.data(), size}, [&](const mavlink::RawMessage& raw) { taken = input_from_mavlink(raw, &input); });
-    return taken;
-  };
+  const auto give = [&](const auto& message) { return from_mavlink(message, &input); };
   mavlink::ScaledPressure pressure;
   EXPECT_FALSE(give(pressure));
   pressure.time_boot_ms = 7;

@@ -100,6 +100,23 @@ class CheckIncludes(unittest.TestCase):
             (root / 'vo_core' / 'notes.txt').write_text('#include <thread>\n')
             self.assertEqual([(f, n) for f, n, _ in check.check_tree(root)], [('vo_core/bad.cpp', 3)])
 
+    def test_folders_that_include_each_other_are_named_with_the_files(self):
+        with tempfile.TemporaryDirectory() as folder:
+            root = pathlib.Path(folder)
+
+            def write(file, includes):
+                (root / file).parent.mkdir(parents=True, exist_ok=True)
+                (root / file).write_text(f'#include "{includes}"\n')
+            write('hal/a/one.h', 'hal/rt/time.h')
+            write('hal/b/two.h', 'hal/a/one.h')
+            self.assertEqual(list(check.check_circles(root)), [])
+            write('hal/a/other.cpp', 'hal/a/deep/three.h')
+            write('hal/a/deep/three.h', 'hal/b/two.h')
+            (folder, reason), = check.check_circles(root)
+            self.assertEqual(folder, 'hal/a')
+            self.assertIn('hal/a -> hal/a/deep -> hal/b -> hal/a', reason)
+            self.assertIn('hal/a/deep/three.h', reason)
+
     def test_a_file_that_is_too_long_is_named_unless_listed(self):
         with tempfile.TemporaryDirectory() as folder:
             root = pathlib.Path(folder)
@@ -115,6 +132,7 @@ class CheckIncludes(unittest.TestCase):
 
     def test_this_tree_keeps_the_rules(self):
         self.assertEqual(list(check.check_lengths(ROOT)), [])
+        self.assertEqual(list(check.check_circles(ROOT)), [])
         self.assertEqual(list(check.check_tree(ROOT)), [])
 
 

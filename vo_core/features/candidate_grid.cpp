@@ -9,9 +9,9 @@ namespace godwit::vo {
 
 CandidateGrid::CandidateGrid(int width, int height, int levels)
     : columns_((width + kCellPx - 1) / kCellPx), rows_((height + kCellPx - 1) / kCellPx), levels_(levels) {
-  const std::size_t cells = static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_);
-  slots_.resize(cells * static_cast<std::size_t>(levels));
-  candidates_.reserve(static_cast<std::size_t>(capacity()));
+  const std::size_t cells = columns_ * rows_;
+  slots_.resize(cells * levels);
+  candidates_.reserve(capacity());
   cell_begin_.resize(cells + 1);
   clear();
 }
@@ -27,24 +27,24 @@ void CandidateGrid::add_corner(int x, int y, int level, int fast_score) {
   const int half = (1 << level) >> 1;
   const int column = ((x << level) + half) / kCellPx, row = ((y << level) + half) / kCellPx;
   assert(column < columns_ && row < rows_ && level < levels_);
-  Slot& slot = slots_[cell_index(column, row) * static_cast<std::size_t>(levels_) + static_cast<std::size_t>(level)];
+  Slot& slot = slots_[cell_index(column, row) * levels_ + level];
   const Corner corner{static_cast<std::int16_t>(x), static_cast<std::int16_t>(y),
                       static_cast<std::uint8_t>(fast_score)};
   // Strongest first; of equal ones the earlier stays.
   int position = slot.count;
-  while (position > 0 && slot.corner[static_cast<std::size_t>(position - 1)].fast < corner.fast) --position;
+  while (position > 0 && slot.corner[position - 1].fast < corner.fast) --position;
   if (position == kPerCell) return;
   if (slot.count < kPerCell) ++slot.count;
   for (int i = slot.count - 1; i > position; --i) {
-    slot.corner[static_cast<std::size_t>(i)] = slot.corner[static_cast<std::size_t>(i - 1)];
+    slot.corner[i] = slot.corner[i - 1];
   }
-  slot.corner[static_cast<std::size_t>(position)] = corner;
+  slot.corner[position] = corner;
 }
 
 void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, std::span<const float> min_score,
                                   float level_weight) {
   candidates_.clear();
-  const std::size_t levels = static_cast<std::size_t>(levels_);
+  const std::size_t levels = levels_;
   const std::size_t cells = cell_begin_.size() - 1;
   for (std::size_t cell = 0; cell < cells; ++cell) {
     cell_begin_[cell] = static_cast<std::int32_t>(candidates_.size());
@@ -56,7 +56,7 @@ void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_thres
     float weight = 1.0f;
     for (std::size_t level = 0; level < levels; ++level, weight *= level_weight) {
       for (int i = 0; i < slots[level].count; ++i) {
-        const Corner& corner = slots[level].corner[static_cast<std::size_t>(i)];
+        const Corner& corner = slots[level].corner[i];
         const bool weak = strongest > fast_threshold && corner.fast <= fast_threshold;
         const float score = shi_tomasi(pyramid.level[level], corner.x, corner.y);
         if (score < min_score[level]) continue;
@@ -77,9 +77,8 @@ void CandidateGrid::while_near(const Vec2f& px, float radius, F&& f) {
   const int r0 = cell(px.y() - radius, rows_), r1 = cell(px.y() + radius, rows_);
   for (int row = r0; row <= r1; ++row) {
     // The cells of a row lie one behind the other.
-    const auto begin = static_cast<std::size_t>(cell_begin_[cell_index(c0, row)]);
-    const auto end = static_cast<std::size_t>(cell_begin_[cell_index(c1, row) + 1]);
-    for (std::size_t i = begin; i < end; ++i) {
+    const int end = cell_begin_[cell_index(c1, row) + 1];
+    for (int i = cell_begin_[cell_index(c0, row)]; i < end; ++i) {
       if (!f(candidates_[i])) return;
     }
   }
@@ -113,7 +112,7 @@ void CandidateGrid::remove_near(const Vec2f& px, int level) {
 
 bool CandidateGrid::cell_has_candidate(int column, int row) const {
   const std::size_t cell = cell_index(column, row);
-  for (auto i = static_cast<std::size_t>(cell_begin_[cell]); i < static_cast<std::size_t>(cell_begin_[cell + 1]); ++i) {
+  for (int i = cell_begin_[cell]; i < cell_begin_[cell + 1]; ++i) {
     if (candidates_[i].alive) return true;
   }
   return false;

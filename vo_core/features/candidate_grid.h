@@ -78,9 +78,7 @@ class CandidateGrid {
     std::array<Corner, kPerCell> corner;
     std::int8_t count;
   };
-  std::size_t cell_index(int column, int row) const {
-    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
-  }
+  std::size_t cell_index(int column, int row) const { return row * columns_ + column; }
   /// Calls f(candidate) for those in the cells that a square of +-radius around px touches, until it returns false.
   template <typename F>
   void while_near(const Vec2f& px, float radius, F&& f);

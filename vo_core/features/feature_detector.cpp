@@ -22,7 +22,7 @@ constexpr float kMinEdgeMagnitude = 6.0f;
 /// The mask's view of a level; empty where nothing is masked.
 const rt::ImageView& mask_level(const rt::MaskPyramidView& mask, int level) {
   static constexpr rt::ImageView kNothingMasked{};
-  return level < mask.levels ? mask.level[static_cast<std::size_t>(level)] : kNothingMasked;
+  return level < mask.levels ? mask.level[level] : kNothingMasked;
 }
 
 /// Masked at its own level or where it lies in the full picture.
@@ -41,10 +41,10 @@ struct FeatureDetector::Buffers {
         height(h),
         grid(w, h, levels),
         tree(w, h, grid.capacity() + kMaxOccupied),
-        row_scores(3 * (static_cast<std::size_t>(w) + 1)),
-        maxima(static_cast<std::size_t>(w)),
-        ids(static_cast<std::size_t>(grid.capacity())) {
-    edgelets.reserve(static_cast<std::size_t>(grid.columns()) * static_cast<std::size_t>(grid.rows()));
+        row_scores(3 * (w + 1)),
+        maxima(w),
+        ids(grid.capacity()) {
+    edgelets.reserve(grid.columns() * grid.rows());
     edgelet_levels.reserve(edgelets.capacity());
     cell_taken.resize(edgelets.capacity());
     edgelet_of_cell.resize(edgelets.capacity());
@@ -58,7 +58,7 @@ struct FeatureDetector::Buffers {
   void mark_cells(const Vec2f& px);
   /// An edgelet of the four neighbouring cells that come before this one is too close.
   bool near_last_edgelets(const Vec2f& px, int column, int row) const;
-  std::size_t cell_index(int column, int row) const { return static_cast<std::size_t>(row * grid.columns() + column); }
+  std::size_t cell_index(int column, int row) const { return row * grid.columns() + column; }
 
   int width, height;
   CandidateGrid grid;
@@ -92,7 +92,7 @@ void FeatureDetector::Buffers::find_corners(const rt::ImageView& image, const rt
     }
     const int count = fast_maxima_row(above, row, below, x_begin, x_end, maxima.data());
     for (int i = 0; i < count; ++i) {
-      const int x = maxima[static_cast<std::size_t>(i)];
+      const int x = maxima[i];
       if (!is_masked(mask, x, y, level)) grid.add_corner(x, y, level, row[x]);
     }
     std::uint8_t* const oldest = above;
@@ -121,9 +121,9 @@ bool FeatureDetector::Buffers::near_last_edgelets(const Vec2f& px, int column, i
     if (column + dx < 0 || column + dx >= grid.columns() || row + dy < 0) continue;
     const std::int32_t other = edgelet_of_cell[cell_index(column + dx, row + dy)];
     if (other < 0) continue;
-    const Edgelet& e = edgelets[static_cast<std::size_t>(other)];
+    const Edgelet& e = edgelets[other];
     const float spacing = min_spacing_px(0, 0);
-    if ((to_level0(e.x, e.y, edgelet_levels[static_cast<std::size_t>(other)]) - px).norm() < spacing) return true;
+    if ((to_level0(e.x, e.y, edgelet_levels[other]) - px).norm() < spacing) return true;
   }
   return false;
 }
@@ -141,7 +141,7 @@ void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, con
       Edgelet best;
       int best_level = -1;
       for (int level = 0; level < levels; ++level) {
-        const rt::ImageView& image = pyramid.level[static_cast<std::size_t>(level)];
+        const rt::ImageView& image = pyramid.level[level];
         const int cell = CandidateGrid::kCellPx >> level;
         const int x0 = std::max(column * cell, border), x1 = std::min((column + 1) * cell, image.width - border);
         const int y0 = std::max(row * cell, border), y1 = std::min((row + 1) * cell, image.height - border);
@@ -174,7 +174,7 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
                             std::span<const Vec2f> occupied, int wanted, std::span<Feature> out) {
   Buffers& b = *buffers_;
   assert(pyramid.level[0].width == b.width && pyramid.level[0].height == b.height);
-  assert(wanted >= 0 && out.size() >= static_cast<std::size_t>(wanted));
+  assert(wanted >= 0 && std::ssize(out) >= wanted);
   assert(occupied.size() <= kMaxOccupied);
   // A level that the mask does not cover is not searched: what moves there is unknown.
   int levels = std::min(options_.levels, pyramid.levels);
@@ -189,8 +189,8 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
     const float sigma = grey_noise_at(noise_, level);
     const int lowest =
         std::clamp(static_cast<int>(std::lround(options_.fast_sigmas * sigma)), 1, options_.fast_threshold);
-    min_score[static_cast<std::size_t>(level)] = options_.min_score * sigma * sigma;
-    b.find_corners(pyramid.level[static_cast<std::size_t>(level)], mask, level, border, lowest);
+    min_score[level] = options_.min_score * sigma * sigma;
+    b.find_corners(pyramid.level[level], mask, level, border, lowest);
   }
   b.grid.score_corners(pyramid, options_.fast_threshold, min_score, options_.level_weight);
   b.grid.keep_local_best();
@@ -211,8 +211,8 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
     if (taken == wanted) break;
   }
   for (int i = 0; i < taken; ++i) {
-    const Candidate& c = candidates[static_cast<std::size_t>(b.ids[static_cast<std::size_t>(i)])];
-    out[static_cast<std::size_t>(i)] = {c.px, Vec2f::UnitX(), c.score, c.level, FeatureType::kCorner};
+    const Candidate& c = candidates[b.ids[i]];
+    out[i] = {c.px, Vec2f::UnitX(), c.score, c.level, FeatureType::kCorner};
   }
   if (taken == wanted || !options_.edgelets) return taken;
 
@@ -223,7 +223,7 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
     if (b.tree.add_occupied(px.x(), px.y())) b.mark_cells(px);
   };
   for (const Vec2f& px : occupied) serve(px);
-  for (int i = 0; i < taken; ++i) serve(out[static_cast<std::size_t>(i)].px);
+  for (int i = 0; i < taken; ++i) serve(out[i].px);
   b.find_edgelets(pyramid, mask, levels, border);
   for (std::size_t i = 0; i < b.edgelets.size(); ++i) {
     const Edgelet& e = b.edgelets[i];
@@ -232,11 +232,10 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   }
   const int added = b.tree.select(wanted - taken, b.ids);
   for (int i = 0; i < added; ++i) {
-    const auto id = static_cast<std::size_t>(b.ids[static_cast<std::size_t>(i)]);
+    const std::size_t id = b.ids[i];
     const Edgelet& e = b.edgelets[id];
     const std::int8_t level = b.edgelet_levels[id];
-    out[static_cast<std::size_t>(taken + i)] = {to_level0(e.x, e.y, level), e.direction, e.magnitude, level,
-                                                FeatureType::kEdgelet};
+    out[taken + i] = {to_level0(e.x, e.y, level), e.direction, e.magnitude, level, FeatureType::kEdgelet};
   }
   return taken + added;
 }

@@ -50,8 +50,8 @@ void InitialTracks::drop_coarse(int enough, int* alive) {
     const auto is_coarse = [&](const KltTrack& t) { return t.alive && t.level == level; };
     const int coarse = static_cast<int>(std::count_if(tracker_.tracks().begin(), tracker_.tracks().end(), is_coarse));
     if (*alive - coarse < enough) return;
-    for (int i = 0; i < static_cast<int>(tracker_.tracks().size()); ++i)
-      if (is_coarse(tracker_.tracks()[static_cast<std::size_t>(i)])) tracker_.drop(i);
+    for (int i = 0; i < std::ssize(tracker_.tracks()); ++i)
+      if (is_coarse(tracker_.tracks()[i])) tracker_.drop(i);
     *alive -= coarse;
   }
 }
@@ -59,14 +59,13 @@ void InitialTracks::drop_coarse(int enough, int* alive) {
 int InitialTracks::start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, int wanted, int enough) {
   frames_ = history_count_ = count_ = 0;
   const int found = detector_.detect(frame, mask, {}, std::clamp(wanted, 1, kMaxTracks), features_);
-  for (int i = 0; i < found; ++i) starts_[static_cast<std::size_t>(i)] = features_[static_cast<std::size_t>(i)].px;
-  int alive = tracker_.set_reference(frame, {starts_.data(), static_cast<std::size_t>(found)}, detector_.noise());
+  for (int i = 0; i < found; ++i) starts_[i] = features_[i].px;
+  int alive = tracker_.set_reference(frame, std::span(starts_).first(found), detector_.noise());
   drop_coarse(enough, &alive);
-  for (int i = 0; i < found; ++i) {
-    const auto k = static_cast<std::size_t>(i);
+  for (int k = 0; k < found; ++k) {
     const Vec2f place = px_ref(k);
     if (tracker_.tracks()[k].alive && !to_plane(place, &first_.xy[k])) {
-      tracker_.drop(i);
+      tracker_.drop(k);
       --alive;
     }
     first_.row[k] = row_of(place);
@@ -93,25 +92,23 @@ void InitialTracks::differentiate(std::size_t k, View* newest) {
 int InitialTracks::follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, double* median_px) {
   tracker_.track(frame);
   if (history_count_ == kHistory) {
-    for (int k = 0; 2 * k < kHistory; ++k)
-      history_[static_cast<std::size_t>(k)] = history_[static_cast<std::size_t>(2 * k + 1)];
+    for (int k = 0; 2 * k < kHistory; ++k) history_[k] = history_[2 * k + 1];
     history_count_ = kHistory / 2;
   }
-  View& view = history_[static_cast<std::size_t>(history_count_)];
+  View& view = history_[history_count_];
   ++frames_;
   count_ = 0;
-  for (int i = 0; i < static_cast<int>(tracker_.tracks().size()); ++i) {
-    const auto k = static_cast<std::size_t>(i);
+  for (int k = 0; k < std::ssize(tracker_.tracks()); ++k) {
     if (!tracker_.tracks()[k].alive) continue;
     const Vec2f place = px_cur(k);
     if (is_masked(mask, place) || !to_plane(place, &view.xy[k])) {
-      tracker_.drop(i);
+      tracker_.drop(k);
       continue;
     }
     view.row[k] = row_of(place);
     differentiate(k, &view);
-    const auto n = static_cast<std::size_t>(count_++);
-    track_of_[n] = i;
+    const int n = count_++;
+    track_of_[n] = k;
     ref_xy_[n] = first_.at_middle_row(k, readout_);
     cur_xy_[n] = view.at_middle_row(k, readout_);
     ways_[n] = static_cast<double>((place - px_ref(k)).norm());

@@ -55,8 +55,8 @@ class InitialTracks {
 
   const View& first() const { return first_; }
   int history_count() const { return history_count_; }
-  const View& history(int k) const { return history_[static_cast<std::size_t>(k)]; }
-  View& latest() { return history_[static_cast<std::size_t>(history_count_ - 1)]; }
+  const View& history(int k) const { return history_[k]; }
+  View& latest() { return history_[history_count_ - 1]; }
 
   /// By the track's number: its patch's place in the first and in the latest view [level-0 px], and the level of the
   /// coarser of its corner and its patch.

@@ -167,8 +167,8 @@ Outcome align(const rt::ImageView& image, const Template<P>& t, int max_iteratio
     Vector sx = hn::Zero(d), sy = hn::Zero(d);
     Vector s = hn::Zero(d);
     visit_samples<P>(image, x, y, [&](int k, Vector v) {
-      sx = hn::MulAdd(hn::Load(d, &t.gx[static_cast<std::size_t>(k)]), v, sx);
-      sy = hn::MulAdd(hn::Load(d, &t.gy[static_cast<std::size_t>(k)]), v, sy);
+      sx = hn::MulAdd(hn::Load(d, &t.gx[k]), v, sx);
+      sy = hn::MulAdd(hn::Load(d, &t.gy[k]), v, sy);
       s = hn::Add(s, v);
     });
     // In more light the gradients are larger as the patch is brighter, and steps would overshoot; in less they are only
@@ -193,7 +193,7 @@ float correlation(const rt::ImageView& image, const Template<P>& t, const Vec2f&
   visit_samples<P>(image, x, y, [&](int k, Vector v) {
     s = hn::Add(s, v);
     ss = hn::MulAdd(v, v, ss);
-    st = hn::MulAdd(hn::Load(d, &t.intensity[static_cast<std::size_t>(k)]), v, st);
+    st = hn::MulAdd(hn::Load(d, &t.intensity[k]), v, st);
   });
   const float mean = sum(s) / (P * P);
   const float variance = sum(ss) - mean * mean * (P * P);
@@ -217,18 +217,17 @@ struct KltTracker::Impl {
     Vec2f px = track->px;
     const int finest = track->level;
     for (int level = std::min(picture.levels, kLevels) - 1; level > finest; --level) {
-      const auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
+      const auto& t = patch.coarse[level - 1];
       if (!t.valid) continue;
       Vec2f p = to_level(px, level);
       const Vec2f before = p;
       // A coarse level that fails teaches nothing; the finer ones start from where it started.
-      if (align(picture.level[static_cast<std::size_t>(level)], t, options.max_iterations, 2 * options.converged_px,
-                &p) != Outcome::kConverged ||
+      if (align(picture.level[level], t, options.max_iterations, 2 * options.converged_px, &p) != Outcome::kConverged ||
           (p - before).squaredNorm() > 36.0f)
         continue;
       px = from_level(p, level);
     }
-    const rt::ImageView& image = picture.level[static_cast<std::size_t>(finest)];
+    const rt::ImageView& image = picture.level[finest];
     Vec2f p = to_level(px, finest);
     if (align(image, patch.fine, options.max_iterations, options.converged_px, &p) != Outcome::kConverged) return false;
     px = from_level(p, finest);
@@ -250,22 +249,22 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
   m.count = static_cast<int>(std::min<std::size_t>(px.size(), kMaxTracks));
   int alive = 0;
   for (int i = 0; i < m.count; ++i) {
-    const Vec2f& p = px[static_cast<std::size_t>(i)];
-    Impl::Patches& patch = m.patches[static_cast<std::size_t>(i)];
-    KltTrack& track = m.tracks[static_cast<std::size_t>(i)];
+    const Vec2f& p = px[i];
+    Impl::Patches& patch = m.patches[i];
+    KltTrack& track = m.tracks[i];
     track = KltTrack{.px_ref = p, .px = p};
     for (int level = 0; level < std::min(kFineLevels, reference.levels) && !track.alive; ++level) {
       track.level = level;
-      track.alive = make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
-                                  grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &patch.fine);
+      track.alive = make_template(reference.level[level], to_level(p, level), grey_noise_at(grey_noise, level),
+                                  m.options.min_eigenvalue, &patch.fine);
     }
     if (track.alive) track.centre = patch.fine.centre * static_cast<float>(1 << track.level);
     for (int level = 1; level < kLevels; ++level) {
-      auto& t = patch.coarse[static_cast<std::size_t>(level - 1)];
+      auto& t = patch.coarse[level - 1];
       t.valid = false;
       if (level < reference.levels)
-        make_template(reference.level[static_cast<std::size_t>(level)], to_level(p, level),
-                      grey_noise_at(grey_noise, level), m.options.min_eigenvalue, &t);
+        make_template(reference.level[level], to_level(p, level), grey_noise_at(grey_noise, level),
+                      m.options.min_eigenvalue, &t);
     }
     alive += track.alive ? 1 : 0;
   }
@@ -276,19 +275,19 @@ int KltTracker::track(const rt::PyramidView& picture) {
   Impl& m = *impl_;
   int alive = 0;
   for (int i = 0; i < m.count; ++i) {
-    KltTrack& track = m.tracks[static_cast<std::size_t>(i)];
-    if (track.alive) track.alive = m.find(picture, m.patches[static_cast<std::size_t>(i)], &track);
+    KltTrack& track = m.tracks[i];
+    if (track.alive) track.alive = m.find(picture, m.patches[i], &track);
     alive += track.alive ? 1 : 0;
   }
   return alive;
 }
 
 std::span<const KltTrack> KltTracker::tracks() const {
-  return {impl_->tracks.data(), static_cast<std::size_t>(impl_->count)};
+  return std::span(impl_->tracks).first(impl_->count);
 }
 
 void KltTracker::drop(int index) {
-  impl_->tracks[static_cast<std::size_t>(index)].alive = false;
+  impl_->tracks[index].alive = false;
 }
 
 }  // namespace godwit::vo

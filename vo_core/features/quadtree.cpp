@@ -8,7 +8,7 @@ namespace godwit::vo {
 
 Quadtree::Quadtree(int width, int height, int capacity)
     : width_(static_cast<float>(width)), height_(static_cast<float>(height)), capacity_(capacity) {
-  const auto size = static_cast<std::size_t>(capacity);
+  const std::size_t size = capacity;
   entries_.reserve(size);
   scratch_.resize(size);
   // Every node holds at least one entry of its own, and the nodes of all three lists together are disjoint.
@@ -45,10 +45,8 @@ bool Quadtree::splittable(const Node& node) const {
 
 int Quadtree::split(const Node& node) {
   const float mx = 0.5f * (node.x0 + node.x1), my = 0.5f * (node.y0 + node.y1);
-  const auto quarter = [&](const Entry& e) {
-    return static_cast<std::size_t>((e.x >= mx ? 1 : 0) + (e.y >= my ? 2 : 0));
-  };
-  const auto at = [](std::vector<Entry>& v, std::int32_t i) -> Entry& { return v[static_cast<std::size_t>(i)]; };
+  const auto quarter = [&](const Entry& e) { return (e.x >= mx ? 1 : 0) + (e.y >= my ? 2 : 0); };
+  const auto at = [](std::vector<Entry>& v, std::int32_t i) -> Entry& { return v[i]; };
 
   std::array<std::int32_t, 4> count{}, candidates{};
   for (std::int32_t i = node.begin; i < node.end; ++i) {
@@ -82,7 +80,7 @@ int Quadtree::split(const Node& node) {
 }
 
 int Quadtree::select(int wanted, std::span<std::int32_t> ids) {
-  assert(wanted >= 0 && ids.size() >= static_cast<std::size_t>(wanted));
+  assert(wanted >= 0 && std::ssize(ids) >= wanted);
   current_.clear();
   leaves_.clear();
   best_.clear();

@@ -37,7 +37,7 @@ class ResidualSpread {
 
   static std::size_t band(double row) {
     const int b = row > 0.0 ? static_cast<int>(row * kBands) : 0;
-    return static_cast<std::size_t>(b < kBands ? b : kBands - 1);
+    return b < kBands ? b : kBands - 1;
   }
 
   /// The residuals so far belong to one picture, the next ones to another.

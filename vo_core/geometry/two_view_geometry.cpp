@@ -68,9 +68,8 @@ struct TwoViewGeometry::Impl {
       return (dx * dx + dy * dy) * inv_var;
     };
     for (int i = 0; i < n; ++i) {
-      const auto k = static_cast<std::size_t>(i);
-      const float e1 = error(h, ax[k], ay[k], bx[k], by[k]), e2 = error(g, bx[k], by[k], ax[k], ay[k]);
-      gain[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
+      const float e1 = error(h, ax[i], ay[i], bx[i], by[i]), e2 = error(g, bx[i], by[i], ax[i], ay[i]);
+      gain[i] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
     }
     return total();
   }
@@ -88,9 +87,8 @@ struct TwoViewGeometry::Impl {
       return d * d / (lx * lx + ly * ly + 1e-30f) * inv_var;
     };
     for (int i = 0; i < n; ++i) {
-      const auto k = static_cast<std::size_t>(i);
-      const float e1 = error(f, ax[k], ay[k], bx[k], by[k]), e2 = error(g, bx[k], by[k], ax[k], ay[k]);
-      gain[k] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
+      const float e1 = error(f, ax[i], ay[i], bx[i], by[i]), e2 = error(g, bx[i], by[i], ax[i], ay[i]);
+      gain[i] = e1 < cut && e2 < cut ? (gamma - e1) + (gamma - e2) : 0.0f;
     }
     return total();
   }
@@ -167,19 +165,18 @@ TwoViewResult TwoViewGeometry::estimate(std::span<const Vec2> a, std::span<const
   m.n = static_cast<int>(std::min<std::size_t>({a.size(), b.size(), kMaxPoints}));
   if (m.n < 8) return result;
   for (int i = 0; i < m.n; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    m.ax[k] = static_cast<float>(a[k].x());
-    m.ay[k] = static_cast<float>(a[k].y());
-    m.bx[k] = static_cast<float>(b[k].x());
-    m.by[k] = static_cast<float>(b[k].y());
-    m.index[k] = i;
+    m.ax[i] = static_cast<float>(a[i].x());
+    m.ay[i] = static_cast<float>(a[i].y());
+    m.bx[i] = static_cast<float>(b[i].x());
+    m.by[i] = static_cast<float>(b[i].y());
+    m.index[i] = i;
   }
 
   Random random;
   Mat3 best_h = Mat3::Identity(), best_f = Mat3::Zero();
   for (int iteration = 0; iteration < m.options.iterations; ++iteration) {
     for (int k = 0; k < 8; ++k) {  // the first eight places of a partial Fisher-Yates shuffle
-      const auto other = static_cast<std::size_t>(k) + random.below(static_cast<std::uint32_t>(m.n - k));
+      const std::size_t other = k + random.below(static_cast<std::uint32_t>(m.n - k));
       std::swap(m.index[k], m.index[other]);
     }
     Mat3 model;

@@ -27,7 +27,7 @@ struct CoarseMask {
   static constexpr int kLevel = 3;
   static constexpr int kMaxColumns = rt::kMaxImageWidth >> kLevel, kMaxRows = rt::kMaxImageHeight >> kLevel;
   int columns = 0, rows = 0;
-  std::array<std::uint8_t, static_cast<std::size_t>(kMaxColumns* kMaxRows)> cell;  ///< rows of `columns`; not 0: masked
+  std::array<std::uint8_t, kMaxColumns * kMaxRows> cell;  ///< rows of `columns`; not 0: masked
 
   void assign(const rt::MaskPyramidView& mask) {
     columns = rows = 0;
@@ -36,14 +36,13 @@ struct CoarseMask {
     columns = level.width;
     rows = level.height;
     for (int y = 0; y < rows; ++y)
-      std::memcpy(cell.data() + static_cast<std::ptrdiff_t>(y) * columns, level.row(y),
-                  static_cast<std::size_t>(columns));
+      std::memcpy(cell.data() + static_cast<std::ptrdiff_t>(y) * columns, level.row(y), columns);
   }
   /// Copies only what is used.
   void assign(const CoarseMask& other) {
     columns = other.columns;
     rows = other.rows;
-    std::memcpy(cell.data(), other.cell.data(), static_cast<std::size_t>(columns * rows));
+    std::memcpy(cell.data(), other.cell.data(), columns * rows);
   }
   /// Masks what the other masks, too. Of the same size, or this one or the other empty.
   void add(const CoarseMask& other) {

@@ -66,7 +66,7 @@ void half_sample(const rt::ImageView& src, const rt::MutableImageView& dst) {
 std::size_t pyramid_bytes(int width, int height, int levels) {
   std::size_t bytes = 0;
   for (int l = 1; l < levels; ++l) {
-    bytes += static_cast<std::size_t>(aligned_stride(width >> l)) * static_cast<std::size_t>(height >> l);
+    bytes += aligned_stride(width >> l) * (height >> l);
   }
   // image.h promises readable bytes behind the last pixel.
   return bytes + rt::kRowAlignment;

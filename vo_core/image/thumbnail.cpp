@@ -33,7 +33,7 @@ void blur(Thumbnail* t) {
 
 Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, double roll_rad) {
   Thumbnail out;
-  const auto top = static_cast<std::size_t>(pyramid.levels - 1);
+  const std::size_t top = pyramid.levels - 1;
   const rt::ImageView& image = pyramid.level[top];
   const bool masked = mask.levels == pyramid.levels;
   // A grid of four samples a cell, turned about the centre.
@@ -56,7 +56,7 @@ Thumbnail make_thumbnail(const rt::PyramidView& pyramid, const rt::MaskPyramidVi
         grey += image.at(px, py);
         ++seen;
       }
-      const auto i = static_cast<std::size_t>(y * Thumbnail::kWidth + x);
+      const std::size_t i = y * Thumbnail::kWidth + x;
       out.valid[i] = seen == kSamples * kSamples;
       out.value[i] = static_cast<std::int16_t>(out.valid[i] ? grey / seen : 0);
       sum += out.value[i];

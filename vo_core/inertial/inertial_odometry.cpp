@@ -215,7 +215,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
   std::array<InertialNode, InertialSmoother::kNodes> nodes;
   for (int i = 0; i < n; ++i) nodes[i] = smoother_.node(i);
-  const std::span<const InertialNode> window(nodes.data(), static_cast<std::size_t>(n));
+  const std::span<const InertialNode> window(nodes.data(), n);
   ImuBias bias = prior_.bias;
   bias.gyro = align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
   const ScaleHint others = hint();

@@ -164,29 +164,28 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
     return report;
   };
   for (report.iterations = 0; report.iterations < max_iterations; ++report.iterations) {
-    for (std::size_t i = 0; i < static_cast<std::size_t>(count_); ++i) {
+    for (int i = 0; i < count_; ++i) {
       w.H[i].setZero();
       w.b[i].setZero();
     }
     add_prior(&w.H[0], &w.b[0]);
     report.chi2 = 0;
     for (int i = 0; i < count_; ++i) {
-      const std::size_t k = static_cast<std::size_t>(i);
-      report.chi2 += add_sight(i, &w.H[k], &w.b[k]);
-      if (i + 1 < count_) report.chi2 += add_pair(i, &w.H[k], &w.H_next[k], &w.H[k + 1], &w.b[k], &w.b[k + 1]);
+      report.chi2 += add_sight(i, &w.H[i], &w.b[i]);
+      if (i + 1 < count_) report.chi2 += add_pair(i, &w.H[i], &w.H_next[i], &w.H[i + 1], &w.b[i], &w.b[i + 1]);
     }
-    const std::size_t last_node = static_cast<std::size_t>(count_ - 1);
+    const int last_node = count_ - 1;
     w.H[last_node](S::kScale, S::kScale) += hint_weight_;
     w.b[last_node](S::kScale) += hint_weight_ * (hint_ - newest().log_scale);
     report.rows = 6 * count_ + kPairRows * (count_ - 1) - InertialState::kSize * count_;
     // Elimination from the oldest; H[k] then holds the moment's block with all before it taken in.
-    for (std::size_t k = 0; k < static_cast<std::size_t>(count_); ++k) {
+    for (int k = 0; k < count_; ++k) {
       w.H[k].diagonal().array() += 1e-9;
       const Factor factor(w.H[k]);
       if (!factor.ok()) return give_up();
       w.dx[k] = w.b[k];
       factor.solve(&w.dx[k]);
-      if (k + 1 == static_cast<std::size_t>(count_)) {
+      if (k + 1 == count_) {
         Rows inverse = Rows::Identity();
         factor.solve(&inverse);
         covariance_ = inverse;
@@ -200,8 +199,7 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
       w.H_next[k] = K;
     }
     for (int i = count_ - 2; i >= 0; --i) {
-      const std::size_t k = static_cast<std::size_t>(i);
-      w.dx[k].noalias() -= w.H_next[k].lazyProduct(w.dx[k + 1]);
+      w.dx[i].noalias() -= w.H_next[i].lazyProduct(w.dx[i + 1]);
     }
     const S::Error& last = w.dx[count_ - 1];
     if (!last.allFinite() || !w.dx[0].allFinite()) return give_up();

@@ -83,7 +83,7 @@ class InertialSmoother {
 
  private:
   struct Work;
-  std::size_t at(int i) const { return static_cast<std::size_t>((first_ + i) % kNodes); }
+  std::size_t at(int i) const { return (first_ + i) % kNodes; }
   /// Adds what vision saw at moment i, absolutely, to its block; returns the squared residual.
   double add_sight(int i, Matrix* H, InertialState::Error* b) const;
   double add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, InertialState::Error* b_i,

@@ -106,7 +106,7 @@ void ScaleAids::above_ground(const AidReading& r, const AidPose& pose, const Vec
   const double down = -pose.up.dot(pose.beam);
   const std::size_t n = pose.points.size();
   if (r.t_ns - t_ground_ns_ < options_.ground_ns || pose.up.isZero() ||
-      n < static_cast<std::size_t>(options_.ground_points))
+      std::ssize(pose.points) < options_.ground_points)
     return;
   // A beam that lies flatter than this meets a wall as soon as the ground.
   if (!(down > 0.8)) return;

@@ -5,11 +5,6 @@
 
 namespace godwit::vo {
 
-const char* checker_name(CheckedBy by) {
-  constexpr const char* kNames[] = {"inertial sensor", "barometer", "rangefinder", "satellites"};
-  return kNames[static_cast<std::size_t>(by)];
-}
-
 void SelfCheck::reset() {
   ones_ = {};
 }

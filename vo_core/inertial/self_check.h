@@ -12,7 +12,6 @@ namespace godwit::vo {
 /// Who measures against vision.
 enum class CheckedBy : std::uint8_t { kInertial, kBarometer, kRange, kSatellites };
 constexpr std::size_t kCheckers = 4;
-const char* checker_name(CheckedBy by);
 
 struct SelfCheckOptions {
   rt::TimeNs memory_ns = 5 * rt::kNsPerSecond;  ///< so fast innovations are forgotten

@@ -119,9 +119,8 @@ void BundleAdjuster::shares(const Map& map, MapShares* out) {
     sum[0].noalias() += noise * noise.transpose();
     const Vec6 of_map = x[0] - noise;
     for (int f = 1; f < free; ++f) {
-      const auto k = static_cast<std::size_t>(f);
-      const Vec6 u = of_map - ad[k] * x[k];
-      sum[k].noalias() += u * u.transpose();
+      const Vec6 u = of_map - ad[f] * x[f];
+      sum[f].noalias() += u * u.transpose();
     }
     // Of a keyframe that was held.
     sum[free].noalias() += of_map * of_map.transpose();

@@ -9,8 +9,7 @@ Mapper::Mapper(const CameraModel& camera, const MapperOptions& options, MapChann
     : camera_(camera),
       options_(options),
       channel_(channel),
-      mask_storage_(std::make_unique_for_overwrite<std::uint8_t[]>(
-          2 * static_cast<std::size_t>(camera.width() * camera.height()))),
+      mask_storage_(std::make_unique_for_overwrite<std::uint8_t[]>(2 * camera.width() * camera.height())),
       detector_(camera.width(), camera.height(), options.detector),
       bundle_(camera, options.bundle),
       seeds_(std::make_unique<std::array<Seed, kMaxSeeds>>()) {}

@@ -54,7 +54,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
   std::array<Feature, kMaxKeyframeFeatures> found;
   const int wanted = std::min(options_.features_per_keyframe, kMaxKeyframeFeatures);
   const int n = detector_.detect(kf.pyramid, spread(m.mask, kf.pyramid), std::span(occupied.data(), occupied_count),
-                                 wanted, std::span(found.data(), static_cast<std::size_t>(wanted)));
+                                 wanted, std::span(found.data(), wanted));
   // Older keyframes to search the new seeds in at once: the nearest ones with a baseline worth the work.
   std::array<std::pair<double, int>, kMaxKeyframes> near;
   int near_count = 0;

@@ -23,8 +23,8 @@ struct PatchPlaces {
 constexpr PatchPlaces patch_places() {
   PatchPlaces places;
   for (int k = 0; k < kBorderPixels; ++k) {
-    places.x[static_cast<std::size_t>(k)] = static_cast<float>(k % kPatchBorderSize - kPatchHalf - 1);
-    places.y[static_cast<std::size_t>(k)] = static_cast<float>(k / kPatchBorderSize - kPatchHalf - 1);
+    places.x[k] = static_cast<float>(k % kPatchBorderSize - kPatchHalf - 1);
+    places.y[k] = static_cast<float>(k / kPatchBorderSize - kPatchHalf - 1);
   }
   return places;
 }

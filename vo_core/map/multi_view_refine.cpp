@@ -61,7 +61,7 @@ void solve_upper(const std::vector<double>& l, int n, double* x) {
 struct Normal {
   std::array<Mat6, kMaxViews> A;
   std::array<Vec6, kMaxViews> b;
-  std::vector<double> W = std::vector<double>(static_cast<std::size_t>(kRoom) * kMaxDim);  // row a point
+  std::vector<double> W = std::vector<double>(kRoom * kMaxDim);  // row a point
   std::array<double, kRoom> C{}, d{};
   double cost = 0;
 };
@@ -94,10 +94,10 @@ struct MultiViewRefiner::Impl {
   int points = 0, views = 0;
   double focal_px = 1, min_sigma_px = 0.1;
   std::array<Vec2, kRoom> ray;
-  std::vector<Vec2> measured = std::vector<Vec2>(static_cast<std::size_t>(kMaxViews) * kRoom);
+  std::vector<Vec2> measured = std::vector<Vec2>(kMaxViews * kRoom);
   std::array<Normal, 2> normal;
-  std::vector<double> S = std::vector<double>(static_cast<std::size_t>(kMaxDim) * kMaxDim);
-  std::vector<double> scratch = std::vector<double>(static_cast<std::size_t>(kMaxViews) * kRoom);
+  std::vector<double> S = std::vector<double>(kMaxDim * kMaxDim);
+  std::vector<double> scratch = std::vector<double>(kMaxViews * kRoom);
   MultiViewState trial;
 
   const Vec2& at(int view, int point) const { return measured[view * kRoom + point]; }
@@ -110,14 +110,12 @@ struct MultiViewRefiner::Impl {
       n->b[k].setZero();
     }
     InverseDepthResidual e;
-    for (int i = 0; i < points; ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (int p = 0; p < points; ++p) {
       double* w = &n->W[p * kMaxDim];
       n->C[p] = n->d[p] = 0;
       for (int k = 0; k < views; ++k) {
-        const auto v = static_cast<std::size_t>(k);
         Eigen::Map<Vec6> cross(w + 6 * k);
-        if (!e.evaluate(state.T_view_ref[v], ray[p], state.inverse_depth[p], at(k, i), focal_px)) {
+        if (!e.evaluate(state.T_view_ref[k], ray[p], state.inverse_depth[p], at(k, p), focal_px)) {
           n->cost += kBehindCost;
           cross.setZero();
           continue;
@@ -127,8 +125,8 @@ struct MultiViewRefiner::Impl {
         n->cost += kCauchy * kCauchy * std::log1p(e2 / width2);
         Eigen::Matrix<double, 2, 6> J;
         J << e.J_t, e.J_w;
-        n->A[v].noalias() += weight * (J.transpose() * J);
-        n->b[v].noalias() += weight * (J.transpose() * e.r);
+        n->A[k].noalias() += weight * (J.transpose() * J);
+        n->b[k].noalias() += weight * (J.transpose() * e.r);
         cross.noalias() = weight * (J.transpose() * e.J_rho);
         n->C[p] += weight * e.J_rho.squaredNorm();
         n->d[p] += weight * e.J_rho.dot(e.r);
@@ -150,8 +148,7 @@ struct MultiViewRefiner::Impl {
     const Vec3& t = state.T_view_ref[views - 1].t;  // length 1
     for (int r = 0; r < 3; ++r)
       for (int c = 0; c <= r; ++c) S[(dim - 6 + r) * kMaxDim + dim - 6 + c] += kScaleWeight * t(r) * t(c);
-    for (int i = 0; i < points; ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (int p = 0; p < points; ++p) {
       const double inverse = point_inverse(n, p, damping);
       const double* w = &n.W[p * kMaxDim];
       for (int r = 0; r < dim; ++r) {
@@ -165,7 +162,7 @@ struct MultiViewRefiner::Impl {
   }
 
   /// 1 / C, 0 where the point has no parallax at all and so must not move.
-  static double point_inverse(const Normal& n, std::size_t p, double damping) {
+  static double point_inverse(const Normal& n, int p, double damping) {
     const double c = n.C[p] * (1.0 + damping);
     return c > 1e-6 ? 1.0 / c : 0.0;
   }
@@ -181,8 +178,7 @@ struct MultiViewRefiner::Impl {
       const SE3& T = state.T_view_ref[k];
       next->T_view_ref[k] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
     }
-    for (int i = 0; i < points; ++i) {
-      const auto p = static_cast<std::size_t>(i);
+    for (int p = 0; p < points; ++p) {
       const double* w = &n.W[p * kMaxDim];
       double rest = n.d[p];
       for (int r = 0; r < dim; ++r) rest -= w[r] * x[r];
@@ -213,7 +209,7 @@ void MultiViewRefiner::begin(std::span<const Vec2> rays, double focal_px, double
 
 void MultiViewRefiner::add_view(std::span<const Vec2> measured) {
   Impl& m = *impl_;
-  if (m.views == kMaxViews || measured.size() < static_cast<std::size_t>(m.points)) return;
+  if (m.views == kMaxViews || std::ssize(measured) < m.points) return;
   std::copy_n(measured.begin(), m.points, m.measured.begin() + m.views * kRoom);
   ++m.views;
 }
@@ -227,9 +223,8 @@ void MultiViewRefiner::refine_pose(int view, int iterations, MultiViewState* sta
     Vec6 b = Vec6::Zero();
     // The start may be several pixels off: a wide weight that narrows as the steps go on.
     const double width = std::max(kCauchy * m.min_sigma_px, 8.0 / (1 << std::min(iteration, 5)));
-    for (int i = 0; i < m.points; ++i) {
-      const auto p = static_cast<std::size_t>(i);
-      if (!e.evaluate(T, m.ray[p], state->inverse_depth[p], m.at(view, i), m.focal_px)) continue;
+    for (int p = 0; p < m.points; ++p) {
+      if (!e.evaluate(T, m.ray[p], state->inverse_depth[p], m.at(view, p), m.focal_px)) continue;
       const double weight = width * width / (width * width + e.r.squaredNorm());
       Eigen::Matrix<double, 2, 6> J;
       J << e.J_t, e.J_w;
@@ -275,10 +270,9 @@ double MultiViewRefiner::cost(const MultiViewState& state, double sigma_px) cons
   const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
   double sum = 0;
   InverseDepthResidual e;
-  for (int i = 0; i < m.points; ++i) {
-    const auto p = static_cast<std::size_t>(i);
+  for (int p = 0; p < m.points; ++p) {
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, i), m.focal_px);
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, p), m.focal_px);
       sum += front ? kCauchy * kCauchy * std::log1p(e.r.squaredNorm() / width2) : kBehindCost;
     }
   }
@@ -289,10 +283,9 @@ double MultiViewRefiner::sigma(const MultiViewState& state) {
   Impl& m = *impl_;
   InverseDepthResidual e;
   std::ptrdiff_t count = 0;
-  for (int i = 0; i < m.points; ++i) {
-    const auto p = static_cast<std::size_t>(i);
+  for (int p = 0; p < m.points; ++p) {
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, i), m.focal_px);
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, p), m.focal_px);
       m.scratch[count++] = front ? e.r.norm() : std::numeric_limits<double>::max();
     }
   }
@@ -306,11 +299,10 @@ double MultiViewRefiner::sigma(const MultiViewState& state) {
 
 double MultiViewRefiner::point_rms(const MultiViewState& state, int point) const {
   const Impl& m = *impl_;
-  const auto p = static_cast<std::size_t>(point);
   double sum = 0;
   InverseDepthResidual e;
   for (int k = 0; k < m.views; ++k) {
-    if (!e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, point), m.focal_px))
+    if (!e.evaluate(state.T_view_ref[k], m.ray[point], state.inverse_depth[point], m.at(k, point), m.focal_px))
       return std::numeric_limits<double>::infinity();
     sum += e.r.squaredNorm();
   }
@@ -327,21 +319,19 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
   const int dim = 6 * m.views;
   // A change x of the views moves point i's log inverse depth by -W_i x / (C_i rho_i); the mean of that over the points
   // is a change of scale.
-  const auto slope = [&](std::size_t p) {
+  const auto slope = [&](int p) {
     const double inverse = Impl::point_inverse(n, p, 0.0);
     return -inverse / state.inverse_depth[p];
   };
   double used = 0;
-  for (int i = 0; i < m.points; ++i) {
-    const auto p = static_cast<std::size_t>(i);
+  for (int p = 0; p < m.points; ++p) {
     if (use[p] == 0) continue;
     used += 1;
-    for (int r = 0; r < dim; ++r) mean[r] += slope(p) * n.W[p * kMaxDim + static_cast<std::size_t>(r)];
+    for (int r = 0; r < dim; ++r) mean[r] += slope(p) * n.W[p * kMaxDim + r];
   }
   if (used < 1) return false;
   for (double& v : mean) v /= used;
-  for (int i = 0; i < m.points; ++i) {
-    const auto p = static_cast<std::size_t>(i);
+  for (int p = 0; p < m.points; ++p) {
     const double inverse = Impl::point_inverse(n, p, 0.0);
     if (!(inverse > 0)) {
       out[p] = std::numeric_limits<double>::infinity();
@@ -349,8 +339,7 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
     }
     std::array<double, kMaxDim> x{};
     for (int r = 0; r < dim; ++r) {
-      const auto c = static_cast<std::size_t>(r);
-      x[c] = slope(p) * n.W[p * kMaxDim + c] - mean[c];
+      x[r] = slope(p) * n.W[p * kMaxDim + r] - mean[r];
     }
     solve_lower(m.S, dim, x.data());
     double variance = inverse / (state.inverse_depth[p] * state.inverse_depth[p]);

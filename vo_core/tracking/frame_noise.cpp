@@ -55,8 +55,7 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   double sums = 0.0, squares = 0.0;
   int corners = 0;
   Mat26 J_all = Mat26::Zero();
-  for (int g = 0; g < kBands; ++g) {
-    const auto k = static_cast<std::size_t>(g);
+  for (int k = 0; k < kBands; ++k) {
     sums += 2.0 * count[k] - (in_band[k] * H_inv * in_band[k].transpose()).trace();
     squares += static_cast<double>(count[k]) * count[k];
     corners += count[k];

@@ -62,8 +62,6 @@ class Health {
   bool give_up() const { return give_up_; }
   /// Time since the first frame without a pose from its picture; 0 while tracking.
   rt::TimeNs without_pose_ns() const { return without_pose_ns_; }
-  /// Of that, what was spent on pictures in which something could have been found.
-  rt::TimeNs searched_ns() const { return searched_ns_; }
 
  private:
   void without_pose(const FrameEvidence& e, const Reason& why);

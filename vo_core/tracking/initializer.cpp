@@ -80,7 +80,7 @@ struct Initializer::Impl {
 
   /// In the first view, z = 1.
   Vec3 ray(std::size_t p) const { return tracks.ref_xy()[p].homogeneous(); }
-  std::size_t living() const { return static_cast<std::size_t>(tracks.count()); }
+  std::size_t living() const { return tracks.count(); }
   double focal() const { return 1.0 / camera.rad_per_px(); }
 
   double median(int n) {
@@ -105,7 +105,7 @@ struct Initializer::Impl {
   double median_of_good(const Value& value) {
     int n = 0;
     for (std::size_t p = 0; p < living(); ++p)
-      if (good[p] != 0) scratch[static_cast<std::size_t>(n++)] = value(p);
+      if (good[p] != 0) scratch[n++] = value(p);
     return median(n);
   }
 
@@ -116,11 +116,10 @@ struct Initializer::Impl {
     std::array<int, InitialTracks::kHistory> usable;
     int n = 0;
     for (int k = 0; k + 1 < tracks.history_count(); ++k)
-      if (tracks.history(k).parallax_px >= least) usable[static_cast<std::size_t>(n++)] = k;
+      if (tracks.history(k).parallax_px >= least) usable[n++] = k;
     const int take = std::min(n, MultiViewRefiner::kMaxViews - 1);
-    for (int k = 0; k < take; ++k)
-      (*chosen)[static_cast<std::size_t>(k)] = usable[static_cast<std::size_t>((2 * k + 1) * n / (2 * take))];
-    (*chosen)[static_cast<std::size_t>(take)] = tracks.history_count() - 1;
+    for (int k = 0; k < take; ++k) (*chosen)[k] = usable[(2 * k + 1) * n / (2 * take)];
+    (*chosen)[take] = tracks.history_count() - 1;
     return take + 1;
   }
 
@@ -129,14 +128,14 @@ struct Initializer::Impl {
     out->model = candidate.model;
     MultiViewState& state = out->state;
     const int last = views - 1;
-    for (int k = 0; k < views; ++k) state.T_view_ref[static_cast<std::size_t>(k)] = candidate.T_b_a;
+    for (int k = 0; k < views; ++k) state.T_view_ref[k] = candidate.T_b_a;
     int positive = 0;
     for (std::size_t p = 0; p < living(); ++p) {
       double inverse_depth = 0;
       if (!triangulate_inverse_depth(candidate.T_b_a, tracks.ref_xy()[p], tracks.cur_xy()[p], &inverse_depth))
         inverse_depth = 0;
       state.inverse_depth[p] = inverse_depth;
-      if (inverse_depth > 0) scratch[static_cast<std::size_t>(positive++)] = inverse_depth;
+      if (inverse_depth > 0) scratch[positive++] = inverse_depth;
     }
     const double typical = positive > 0 ? median(positive) : 1.0;
     for (std::size_t p = 0; p < living(); ++p) {
@@ -144,19 +143,19 @@ struct Initializer::Impl {
       if (!(rho > 0.1 * typical && rho < 10.0 * typical)) rho = typical;
     }
     refiner.refine_pose(last, 3, &state);
-    const double length = state.T_view_ref[static_cast<std::size_t>(last)].t.norm();
+    const double length = state.T_view_ref[last].t.norm();
     if (length > 1e-6) {  // the pose alone is free in length; the unit is the last view's distance
-      state.T_view_ref[static_cast<std::size_t>(last)].t /= length;
+      state.T_view_ref[last].t /= length;
       for (std::size_t p = 0; p < living(); ++p) state.inverse_depth[p] *= length;
     }
     for (int k = last - 1; k >= 0; --k) {
-      state.T_view_ref[static_cast<std::size_t>(k)] = state.T_view_ref[static_cast<std::size_t>(k + 1)];
+      state.T_view_ref[k] = state.T_view_ref[k + 1];
       refiner.refine_pose(k, 4, &state);
     }
     refiner.refine(3, &state);
   }
 
-  Solution& solution(int k) { return solutions[static_cast<std::size_t>(order[static_cast<std::size_t>(k)])]; }
+  Solution& solution(int k) { return solutions[order[k]]; }
 
   /// Sorts the first n places of `order` by cost, reckoned for all with the noise of the one that fits best.
   void rank(int n) {
@@ -164,15 +163,14 @@ struct Initializer::Impl {
     for (int k = 0; k < n; ++k) noise = std::min(noise, refiner.sigma(solution(k).state));
     for (int k = 0; k < n; ++k) solution(k).cost = refiner.cost(solution(k).state, noise);
     for (int i = 1; i < n; ++i)
-      for (int j = i; j > 0 && solution(j).cost < solution(j - 1).cost; --j)
-        std::swap(order[static_cast<std::size_t>(j)], order[static_cast<std::size_t>(j - 1)]);
+      for (int j = i; j > 0 && solution(j).cost < solution(j - 1).cost; --j) std::swap(order[j], order[j - 1]);
   }
 
   /// Marks the points that fit every view, lie in front and are neither absurdly near nor far. Returns their number.
   int judge(const MultiViewState& state, double noise_px) {
     int n = 0;
     for (std::size_t p = 0; p < living(); ++p) {
-      if (state.inverse_depth[p] > 0) scratch[static_cast<std::size_t>(n++)] = state.inverse_depth[p];
+      if (state.inverse_depth[p] > 0) scratch[n++] = state.inverse_depth[p];
     }
     if (n == 0) return 0;
     const double typical = median(n);
@@ -192,7 +190,7 @@ struct Initializer::Impl {
   /// solution. Elsewhere that falls back into the best one, or costs far more.
   void add_other_motion_of_plane(int views) {
     const Solution& best = solution(0);
-    const SE3& T = best.state.T_view_ref[static_cast<std::size_t>(views - 1)];
+    const SE3& T = best.state.T_view_ref[views - 1];
     Mat3 A = Mat3::Zero();
     Vec3 b = Vec3::Zero();
     for (std::size_t p = 0; p < living(); ++p) {
@@ -240,7 +238,7 @@ struct Initializer::Impl {
       Mat26 J;
       J << to_plane, -to_plane * skew(q);
       H.noalias() += J.transpose() * J;
-      b.noalias() += J.transpose() * view.velocity[static_cast<std::size_t>(tracks.track_of(p))];
+      b.noalias() += J.transpose() * view.velocity[tracks.track_of(p)];
     }
     const Vec6 velocity = H.ldlt().solve(b);
     return velocity.allFinite() ? velocity : Vec6::Zero();
@@ -254,23 +252,23 @@ struct Initializer::Impl {
   /// Writes the accepted points with median depth 1.
   void publish(const MultiViewState& state, int views) {
     const double scale = 1.0 / median_of_good([&](std::size_t p) { return 1.0 / state.inverse_depth[p]; });
-    T_cur_ref = state.T_view_ref[static_cast<std::size_t>(views - 1)];
+    T_cur_ref = state.T_view_ref[views - 1];
     T_cur_ref.t *= scale;
     velocity_ref = camera_velocity(tracks.first(), SE3(), state, scale);
     velocity_cur = camera_velocity(tracks.latest(), T_cur_ref, state, scale);
     point_count = 0;
     for (std::size_t p = 0; p < living(); ++p) {
       if (good[p] == 0) continue;
-      const auto track = static_cast<std::size_t>(tracks.track_of(p));
+      const std::size_t track = tracks.track_of(p);
       const double depth = scale / state.inverse_depth[p];
       const Vec2f px_ref = tracks.px_ref(track), px_cur = tracks.px_cur(track);
-      points[static_cast<std::size_t>(point_count++)] = {px_ref,
-                                                         px_cur,
-                                                         to_picture(tracks.ref_xy()[p], px_ref),
-                                                         to_picture(tracks.cur_xy()[p], px_cur),
-                                                         static_cast<std::int8_t>(tracks.level(track)),
-                                                         depth * ray(p),
-                                                         depth_sigma[p] * depth * ray(p).norm()};
+      points[point_count++] = {px_ref,
+                               px_cur,
+                               to_picture(tracks.ref_xy()[p], px_ref),
+                               to_picture(tracks.cur_xy()[p], px_cur),
+                               static_cast<std::int8_t>(tracks.level(track)),
+                               depth * ray(p),
+                               depth_sigma[p] * depth * ray(p).norm()};
     }
   }
 
@@ -294,29 +292,28 @@ struct Initializer::Impl {
     const int views = choose_views(&chosen);
     refiner.begin({tracks.ref_xy().data(), n}, focal(), options.min_noise_px);
     for (int k = 0; k < views; ++k) {
-      const InitialTracks::View& view = tracks.history(chosen[static_cast<std::size_t>(k)]);
-      for (std::size_t i = 0; i < n; ++i)
-        gathered[i] = view.at_middle_row(static_cast<std::size_t>(tracks.track_of(i)), options.readout);
+      const InitialTracks::View& view = tracks.history(chosen[k]);
+      for (std::size_t i = 0; i < n; ++i) gathered[i] = view.at_middle_row(tracks.track_of(i), options.readout);
       refiner.add_view({gathered.data(), n});
     }
 
     solution_count = 0;
     for (int k = 0; k < pair.candidate_count; ++k) {
-      const TwoViewCandidate& candidate = pair.candidates[static_cast<std::size_t>(k)];
+      const TwoViewCandidate& candidate = pair.candidates[k];
       if (candidate.in_front < kMinFrontShare * pair.inliers) continue;
-      solve(candidate, views, &solutions[static_cast<std::size_t>(solution_count++)]);
+      solve(candidate, views, &solutions[solution_count++]);
     }
     if (solution_count == 0) return;
-    for (int k = 0; k < static_cast<int>(solutions.size()); ++k) order[static_cast<std::size_t>(k)] = k;
+    for (int k = 0; k < static_cast<int>(solutions.size()); ++k) order[k] = k;
     rank(solution_count);
     // Candidates of both models often fall into the same minimum: each minimum is followed to its bottom once.
-    const auto last = static_cast<std::size_t>(views - 1);
+    const int last = views - 1;
     int kept = 1;
     for (int k = 1; k < solution_count; ++k) {
       bool known = false;
       for (int j = 0; j < kept; ++j)
         known = known || same_motion(solution(j).state.T_view_ref[last], solution(k).state.T_view_ref[last]);
-      if (!known) std::swap(order[static_cast<std::size_t>(kept++)], order[static_cast<std::size_t>(k)]);
+      if (!known) std::swap(order[kept++], order[k]);
     }
     solution_count = std::min(kept, kMaxMinima);
     for (int k = 0; k < solution_count; ++k)
@@ -376,7 +373,7 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
   InitReport report;
   report.tracks = m.tracks.follow(frame, mask, &report.median_disparity_px);
   if (report.tracks < m.options.min_tracks) return m.start(frame, mask, InitStatus::kTracksLost);
-  const auto n = static_cast<std::size_t>(report.tracks);
+  const std::size_t n = report.tracks;
   report.parallax_px =
       fit_rotation({m.tracks.ref_xy().data(), n}, {m.tracks.cur_xy().data(), n}, m.focal(), m.scratch, &m.R_cur_ref);
   m.tracks.latest().parallax_px = report.parallax_px;
@@ -404,7 +401,7 @@ const Vec6& Initializer::velocity_cur() const {
   return impl_->velocity_cur;
 }
 std::span<const InitPoint> Initializer::points() const {
-  return {impl_->points.data(), static_cast<std::size_t>(impl_->point_count)};
+  return std::span(impl_->points).first(impl_->point_count);
 }
 
 }  // namespace godwit::vo

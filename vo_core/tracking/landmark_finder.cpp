@@ -24,10 +24,10 @@ double LandmarkFinder::median_depth(const Map& map) {
   std::array<double, kMaxKeyframes> depth;
   int n = 0;
   for (int k = 0; k < kMaxKeyframes; ++k)
-    if (map.keyframe(k).id != 0) depth[static_cast<std::size_t>(n++)] = map.keyframe(k).median_depth;
+    if (map.keyframe(k).id != 0) depth[n++] = map.keyframe(k).median_depth;
   if (n == 0) return 0.0;
   std::nth_element(depth.begin(), depth.begin() + n / 2, depth.begin() + n);
-  return depth[static_cast<std::size_t>(n / 2)];
+  return depth[n / 2];
 }
 
 void LandmarkFinder::learn(const Map& map, int points) {
@@ -37,7 +37,7 @@ void LandmarkFinder::learn(const Map& map, int points) {
     if (next_to_learn_ >= end) next_to_learn_ = 0;
     const int index = next_to_learn_++;
     const MapPoint& p = map.point(index);
-    Look& look = (*looks_)[static_cast<std::size_t>(index)];
+    Look& look = (*looks_)[index];
     if (!p.active) continue;
     if (look.generation == p.generation && (look.known || look.observations == p.observation_count)) continue;
     look.generation = p.generation;
@@ -45,7 +45,7 @@ void LandmarkFinder::learn(const Map& map, int points) {
     look.known = false;
     // Of its views any that is not too near the edge.
     for (int k = 0; k < p.observation_count && !look.known; ++k) {
-      const Observation& o = p.observations[static_cast<std::size_t>(k)];
+      const Observation& o = p.observations[k];
       const Keyframe& kf = map.keyframe(o.keyframe);
       look.known = upright_.describe(kf.pyramid, kf.features[o.feature].px, &look.descriptor);
     }
@@ -66,19 +66,18 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
   const int first = attempt * options_.max_points / 2;
   for (int k = 0; k < end && known < options_.max_points; ++k) {
     const int i = (first + k) % end;
-    const Look& look = (*looks_)[static_cast<std::size_t>(i)];
+    const Look& look = (*looks_)[i];
     const MapPoint& p = map.point(i);
-    if (look.known && p.active && p.generation == look.generation)
-      compared[static_cast<std::size_t>(known++)] = static_cast<std::uint16_t>(i);
+    if (look.known && p.active && p.generation == look.generation) compared[known++] = static_cast<std::uint16_t>(i);
   }
   int n = 0;
   for (int c = 0; c < corner_count_; ++c) {
     BriefDescriptor d;
-    if (!pattern.describe(pyramid, corners_[static_cast<std::size_t>(c)].px, &d)) continue;
+    if (!pattern.describe(pyramid, corners_[c].px, &d)) continue;
     int best = 257, second = 257, best_point = -1;
     for (int k = 0; k < known; ++k) {
-      const int i = compared[static_cast<std::size_t>(k)];
-      const int distance = d.distance((*looks_)[static_cast<std::size_t>(i)].descriptor);
+      const int i = compared[k];
+      const int distance = d.distance((*looks_)[i].descriptor);
       if (distance >= second) continue;
       // One place may have been made a point several times.
       const bool same_place =
@@ -93,11 +92,10 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
     }
     if (best > options_.max_distance || best > options_.max_ratio * second) continue;
     // A point belongs to the corner that resembles it most.
-    std::uint16_t& taken = match_of_point[static_cast<std::size_t>(best_point)];
+    std::uint16_t& taken = match_of_point[best_point];
     if (taken == kFree) {
       taken = static_cast<std::uint16_t>(n);
-      matches_[static_cast<std::size_t>(n++)] = {static_cast<std::uint16_t>(best_point), static_cast<std::uint16_t>(c),
-                                                 best};
+      matches_[n++] = {static_cast<std::uint16_t>(best_point), static_cast<std::uint16_t>(c), best};
     } else if (best < matches_[taken].distance) {
       matches_[taken].corner = static_cast<std::uint16_t>(c);
       matches_[taken].distance = best;
@@ -110,8 +108,8 @@ int LandmarkFinder::start_keyframe(const Map& map, int matches) const {
   // The one that saw most of the matched points.
   std::array<int, kMaxKeyframes> seen{};
   for (int i = 0; i < matches; ++i) {
-    const MapPoint& p = map.point(matches_[static_cast<std::size_t>(i)].point);
-    for (int k = 0; k < p.observation_count; ++k) ++seen[p.observations[static_cast<std::size_t>(k)].keyframe];
+    const MapPoint& p = map.point(matches_[i].point);
+    for (int k = 0; k < p.observation_count; ++k) ++seen[p.observations[k].keyframe];
   }
   return static_cast<int>(std::max_element(seen.begin(), seen.end()) - seen.begin());
 }
@@ -126,7 +124,7 @@ bool LandmarkFinder::pose_of_three(int a, int b, int c, SE3* T_cam_world) const 
     for (const int i : {a, b, c}) {
       Vec2 r;
       Mat26 J;
-      if (!pose_residual(camera_, T, measurements_[static_cast<std::size_t>(i)], &r, &J)) return false;
+      if (!pose_residual(camera_, T, measurements_[i], &r, &J)) return false;
       H.noalias() += J.transpose() * J;
       g.noalias() -= J.transpose() * r;
       error = std::max(error, r.squaredNorm());
@@ -146,8 +144,7 @@ int LandmarkFinder::agreeing(int matches, const SE3& T_cam_world) const {
   int n = 0;
   for (int i = 0; i < matches; ++i) {
     Vec2 r;
-    n += pose_residual(camera_, T_cam_world, measurements_[static_cast<std::size_t>(i)], &r, nullptr) &&
-         r.squaredNorm() < limit;
+    n += pose_residual(camera_, T_cam_world, measurements_[i], &r, nullptr) && r.squaredNorm() < limit;
   }
   return n;
 }
@@ -162,13 +159,13 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
     const int k = attempt / 3 % std::max(1, static_cast<int>(2.0 * std::numbers::pi / options_.roll_step_rad));
     roll = (k % 2 == 0 ? 1.0 : -1.0) * (k / 2 + 1) * options_.roll_step_rad;
   }
-  corner_count_ = report.corners = detector_.detect(
-      pyramid, mask, {}, options_.corners, std::span(corners_.data(), static_cast<std::size_t>(options_.corners)));
+  corner_count_ = report.corners =
+      detector_.detect(pyramid, mask, {}, options_.corners, std::span(corners_.data(), options_.corners));
   report.matches = match(map, pyramid, roll, attempt);
   if (report.matches < options_.min_agreeing) return report;
   for (int i = 0; i < report.matches; ++i) {
-    const Match& m = matches_[static_cast<std::size_t>(i)];
-    PoseMeasurement& out = measurements_[static_cast<std::size_t>(i)];
+    const Match& m = matches_[i];
+    PoseMeasurement& out = measurements_[i];
     out = {};
     out.px = corners_[m.corner].px.cast<double>();
     out.p_world = map.point(m.point).p_world;
@@ -198,12 +195,10 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
   int kept = 0;
   for (int i = 0; i < report.matches; ++i) {
     Vec2 r;
-    if (pose_residual(camera_, best, measurements_[static_cast<std::size_t>(i)], &r, nullptr) &&
-        r.norm() < 2.0 * options_.agreement_px)
-      std::swap(measurements_[static_cast<std::size_t>(kept++)], measurements_[static_cast<std::size_t>(i)]);
+    if (pose_residual(camera_, best, measurements_[i], &r, nullptr) && r.norm() < 2.0 * options_.agreement_px)
+      std::swap(measurements_[kept++], measurements_[i]);
   }
-  const PoseOptimizerResult p =
-      optimize_pose(camera_, {}, std::span(measurements_.data(), static_cast<std::size_t>(kept)), &best);
+  const PoseOptimizerResult p = optimize_pose(camera_, {}, std::span(measurements_.data(), kept), &best);
   report.found = p.ok && p.inliers >= options_.min_agreeing;
   report.T_cam_world = best;
   return report;

@@ -6,11 +6,10 @@ namespace godwit::vo {
 
 int MotionGate::run(std::span<FrameFeature> features, std::span<PoseMeasurement> measurements) const {
   const std::size_t n = std::min<std::size_t>(features.size(), kMaxFrameFeatures);
-  std::array<int, static_cast<std::size_t>(kColumns * kRows)> inliers{}, outliers{};
-  for (std::size_t i = 0; i < n; ++i)
-    ++(measurements[i].inlier ? inliers : outliers)[static_cast<std::size_t>(cell(features[i]))];
+  std::array<int, kColumns * kRows> inliers{}, outliers{};
+  for (std::size_t i = 0; i < n; ++i) ++(measurements[i].inlier ? inliers : outliers)[cell(features[i])];
   const auto moves = [&](std::size_t i) {
-    const auto c = static_cast<std::size_t>(cell(features[i]));
+    const int c = cell(features[i]);
     return outliers[c] >= options_.min_outliers && outliers[c] >= inliers[c];
   };
   int left = 0;

@@ -8,7 +8,7 @@ namespace godwit::vo {
 
 void Relocaliser::add_keyframe(int place, std::uint32_t id, const rt::PyramidView& pyramid,
                                const rt::MaskPyramidView& mask) {
-  entries_[static_cast<std::size_t>(place)] = {id, make_thumbnail(pyramid, mask, 0.0)};
+  entries_[place] = {id, make_thumbnail(pyramid, mask, 0.0)};
 }
 
 RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
@@ -29,10 +29,10 @@ RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& py
   int n = 0;
   for (int k = 0; k < kMaxKeyframes; ++k) {
     const Keyframe& kf = map.keyframe(k);
-    const Entry& entry = entries_[static_cast<std::size_t>(k)];
+    const Entry& entry = entries_[k];
     if (kf.id == 0 || entry.keyframe_id != kf.id) continue;
     const ThumbnailMatch m = match_thumbnails(entry.thumbnail, now);
-    if (m.correlation >= options_.min_correlation) ranked[static_cast<std::size_t>(n++)] = {m, k};
+    if (m.correlation >= options_.min_correlation) ranked[n++] = {m, k};
   }
   if (n == 0) return {};
   rank = rank % n;
@@ -41,7 +41,7 @@ RelocalisationGuess Relocaliser::guess(const Map& map, const rt::PyramidView& py
     return a.first.correlation > b.first.correlation ||
            (a.first.correlation == b.first.correlation && a.second < b.second);
   });
-  const auto& [match, place] = ranked[static_cast<std::size_t>(rank)];
+  const auto& [match, place] = ranked[rank];
 
   RelocalisationGuess out;
   out.place = place;

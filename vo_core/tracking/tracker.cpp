@@ -30,7 +30,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
 Tracker::~Tracker() = default;
 
 std::span<const FrameFeature> Tracker::features() const {
-  return {features_.data(), static_cast<std::size_t>(feature_count_)};
+  return std::span(features_).first(feature_count_);
 }
 
 void Tracker::free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const {
@@ -64,7 +64,7 @@ void Tracker::take_points(SeenPoints* points) const {
   const int step = std::max(1, (feature_count_ + SeenPoints::kMost - 1) / SeenPoints::kMost);
   for (int i = 0; i < feature_count_; i += step) {
     const MapPoint* const p = map_->find(features_[i].point);
-    if (p != nullptr) points->at[static_cast<std::size_t>(points->count++)] = p->p_world.cast<float>();
+    if (p != nullptr) points->at[points->count++] = p->p_world.cast<float>();
   }
 }
 
@@ -219,8 +219,8 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     result->tracked = kind == FrameEvidence::Kind::kPose;
     result->T_world_cam = frame->T_cam_world.inverse();
-    const FrameCovariance own = noise_.covariance(
-        camera_, {measurements_.data(), static_cast<std::size_t>(match_count_)}, frame->T_cam_world, weight_scale_);
+    const FrameCovariance own =
+        noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);
     result->own_covariance = own.noise + own.strayed;
     result->relative = certainty_.relative(*map_, frame->T_cam_world, frame->t_capture_ns, own.noise, own.strayed);
     result->covariance = certainty_.in_map(*map_, result->relative);

@@ -101,7 +101,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   feature_count_ = map_feature_count_ = n;
   for (int i = 0; i < n; ++i) {
     // Evenly out of all, whatever their order.
-    const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
+    const InitPoint& p = points[i * points.size() / n];
     FrameFeature& f = features_[i];
     f = {};
     f.px = p.px_ref;
@@ -115,13 +115,12 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   const int place1 = insert_keyframe(first_, 1);
   send(MessageKind::kKeyframe, &first_, 1, place1);
   for (int i = 0; i < n; ++i) {
-    const InitPoint& p = points[static_cast<std::size_t>(i) * points.size() / static_cast<std::size_t>(n)];
+    const InitPoint& p = points[i * points.size() / n];
     FrameFeature& f = features_[i];
     f.px = p.px_cur;
     f.px_global = p.px_cur_global;
     // The track knew nothing of how the patch turns and stretches between the two views; the map does.
-    const PatchSource source{&first_.pyramid, &map_->keyframe(place1).features[static_cast<std::size_t>(i)],
-                             p.p_ref.norm()};
+    const PatchSource source{&first_.pyramid, &map_->keyframe(place1).features[i], p.p_ref.norm()};
     const MatchResult m =
         match_direct(camera_, source, current.T_cam_world, current.pyramid, p.px_cur, options_.reprojector.max_level);
     if (!m.found || (m.px - p.px_cur).norm() > kMaxTrackErrorPx) continue;

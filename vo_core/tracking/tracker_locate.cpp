@@ -103,7 +103,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_
       optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches), &frame->T_cam_world);
   rejected_count_ = 0;
   if (options_.gate.on && p.ok) {
-    const auto all = static_cast<std::size_t>(r.matches);
+    const std::size_t all = r.matches;
     const int left = gate_.run({found.data(), all}, {measurements_.data(), all});
     if (left < r.matches) {
       match_count_ = result->matches = left;

@@ -16,7 +16,6 @@ namespace godwit::link::dronecan {
 
 using hal::CanFrame;
 
-constexpr std::uint8_t kBroadcast = 0;
 constexpr std::uint8_t kMaxNodeId = 127;
 constexpr std::size_t kMaxPayload = 384;                               ///< longest of our types: GetNodeInfo's answer
 constexpr std::size_t kMaxTransferFrames = (kMaxPayload + 2 + 6) / 7;  ///< on classic CAN

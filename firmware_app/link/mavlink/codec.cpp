@@ -46,7 +46,7 @@ std::size_t Parser::find(RawMessage* message) {
     const auto begin = buffer_.begin();
     const auto magic = std::find(begin, begin + static_cast<std::ptrdiff_t>(size_), kMagic);
     if (magic != begin) {
-      const auto noise = static_cast<std::size_t>(magic - begin);
+      const std::size_t noise = magic - begin;
       counters_.skipped_bytes += noise;
       drop(noise);
     }

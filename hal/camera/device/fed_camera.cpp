@@ -7,7 +7,7 @@
 namespace godwit::hal {
 
 FedCamera::FedCamera(std::unique_ptr<Camera> inner) : inner_(std::move(inner)), channels_(inner_->channels()) {
-  const auto pixels = static_cast<std::size_t>(inner_->width()) * static_cast<std::size_t>(inner_->height());
+  const std::size_t pixels = inner_->width() * inner_->height();
   for (std::size_t i = 0; i < kPictures; ++i) {
     pictures_[i].grey.resize(pixels);
     if (channels_ == 3) pictures_[i].bgr.resize(3 * pixels);
@@ -62,8 +62,7 @@ CameraStatus FedCamera::hand_over(const Done& done, const rt::MutableImageView& 
   if (done.status == CameraStatus::kBadFrame && why != nullptr) why->assign(p.why);
   if (done.status == CameraStatus::kFrame && grey.data != nullptr) {
     for (int y = 0; y < grey.height; ++y) {
-      std::memcpy(grey.row(y), p.grey.data() + static_cast<std::ptrdiff_t>(y) * grey.width,
-                  static_cast<std::size_t>(grey.width));
+      std::memcpy(grey.row(y), p.grey.data() + static_cast<std::ptrdiff_t>(y) * grey.width, grey.width);
     }
     if (bgr != nullptr && !p.bgr.empty()) std::memcpy(bgr, p.bgr.data(), p.bgr.size());
   }

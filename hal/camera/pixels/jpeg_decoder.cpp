@@ -82,7 +82,7 @@ void JpegDecoder::Jpeg::decode_planes(const rt::MutableImageView& grey, std::uin
     jpeg_read_raw_data(&cinfo, planes, static_cast<JDIMENSION>(rows));
     for (int i = 0; i < rows && top + i < grey.height; ++i) {
       const std::uint8_t* const luma = planes[0][i];
-      std::memcpy(grey.row(top + i), luma, static_cast<std::size_t>(grey.width));
+      std::memcpy(grey.row(top + i), luma, grey.width);
       jpeg_row(luma, planes[1][i / rows_a_chroma], planes[2][i / rows_a_chroma], grey.width,
                bgr + static_cast<std::ptrdiff_t>(top + i) * grey.width * 3);
     }

@@ -17,7 +17,7 @@ constexpr int kRedShare = 77, kGreenShare = 150, kBlueShare = 29;
 void rgb_row(const std::uint8_t* from, int width, bool red_first, std::uint8_t* grey, std::uint8_t* bgr) {
   const wide::ScalableTag<std::uint16_t> sums;
   const wide::Rebind<std::uint8_t, decltype(sums)> bytes;
-  const auto w = static_cast<std::size_t>(width);
+  const std::size_t w = width;
   const std::size_t step = wide::Lanes(bytes);
   std::size_t x = 0;
   for (; x + step <= w; x += step) {

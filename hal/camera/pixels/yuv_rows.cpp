@@ -137,7 +137,7 @@ void bgr_of_jpeg(int y, int cb, int cr, std::uint8_t* to) {
 }
 
 void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint8_t* bgr) {
-  const auto w = static_cast<std::size_t>(width);
+  const std::size_t w = width;
   const Bytes bytes;
   const std::size_t step = hn::Lanes(bytes);
   std::size_t x = 0;
@@ -162,7 +162,7 @@ void yuyv_row(const std::uint8_t* from, int width, std::uint8_t* grey, std::uint
 
 void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, std::uint8_t* bgr) {
   row<LimitedRange>(
-      static_cast<std::size_t>(width), bgr,
+      width, bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {
         hn::LoadInterleaved2(HalfBytes(), luma + at, even, odd);
         hn::LoadInterleaved2(HalfBytes(), chroma + at, u, v);
@@ -174,7 +174,7 @@ void nv12_row(const std::uint8_t* luma, const std::uint8_t* chroma, int width, s
 }
 
 void jpeg_row(const std::uint8_t* luma, const std::uint8_t* cb, const std::uint8_t* cr, int width, std::uint8_t* bgr) {
-  const auto w = static_cast<std::size_t>(width);
+  const std::size_t w = width;
   row<FullRange>(
       w, bgr,
       [&](std::size_t at, Pixels& even, Pixels& odd, Pixels& u, Pixels& v) {

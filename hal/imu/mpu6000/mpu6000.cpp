@@ -320,7 +320,7 @@ ImuStatus Mpu6000::look(rt::TimeNs give_up_ns) {
 ImuStatus Mpu6000::fetch(int count, rt::TimeNs before_ns) {
   const int batch = std::min(count, kBatch);
   std::uint8_t raw[16 * kSampleBytes];
-  if (!read(kFifo, raw, static_cast<std::size_t>(batch) * kSampleBytes)) return fail(kBusFails);
+  if (!read(kFifo, raw, batch * kSampleBytes)) return fail(kBusFails);
   // Those left in the chip were taken after these: the newest of these is older by as many steps.
   const rt::TimeNs rest = clock_.step_ns() * (count - batch);
   const rt::TimeNs t = clock_.take(batch, empty_ns_ - rest, before_ns - rest);
@@ -331,7 +331,7 @@ ImuStatus Mpu6000::fetch(int count, rt::TimeNs before_ns) {
   for (int i = 0; i < batch; ++i) {
     ImuSample s;
     s.t_ns = t + i * clock_.step_ns() - delay;
-    if (!convert(raw + static_cast<std::size_t>(i) * kSampleBytes, &s)) return ImuStatus::kFault;
+    if (!convert(raw + i * kSampleBytes, &s)) return ImuStatus::kFault;
     if (gap_) s.flags |= kImuGap;
     gap_ = false;
     ready_[ready_count_++] = s;

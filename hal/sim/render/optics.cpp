@@ -52,24 +52,23 @@ bool Lens::monotonic() const {
 
 RayTable::RayTable(const Lens& lens)
     : columns((lens.width + kTile - 1) / kTile), rows((lens.height + kTile - 1) / kTile), stride(columns * kTile) {
-  const std::size_t count = static_cast<std::size_t>(stride) * static_cast<std::size_t>(rows * kTile);
+  const std::size_t count = stride * (rows * kTile);
   x.resize(count);
   y.resize(count);
   for (int v = 0; v < rows * kTile; ++v) {
     for (int u = 0; u < stride; ++u) {
       // Padding repeats the picture's last pixel: it is drawn and thrown away.
       const Vec2 ray = lens.unproject(Vec2(std::min(u, lens.width - 1), std::min(v, lens.height - 1)));
-      const std::size_t i =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(stride) + static_cast<std::size_t>(u);
+      const std::size_t i = v * stride + u;
       x[i] = static_cast<float>(ray.x());
       y[i] = static_cast<float>(ray.y());
     }
   }
   constexpr float kInf = std::numeric_limits<float>::infinity();
-  column_min.assign(static_cast<std::size_t>(columns), kInf);
-  column_max.assign(static_cast<std::size_t>(columns), -kInf);
-  row_min.assign(static_cast<std::size_t>(rows), kInf);
-  row_max.assign(static_cast<std::size_t>(rows), -kInf);
+  column_min.assign(columns, kInf);
+  column_max.assign(columns, -kInf);
+  row_min.assign(rows, kInf);
+  row_max.assign(rows, -kInf);
   x_min = y_min = kInf;
   x_max = y_max = -kInf;
   for (int r = 0; r < rows; ++r) {
@@ -96,11 +95,10 @@ RayTable::RayTable(const Lens& lens)
       tile.dxdv = static_cast<float>(dv.x());
       tile.dydv = static_cast<float>(dv.y());
       tiles.push_back(tile);
-      const std::size_t ci = static_cast<std::size_t>(c), ri = static_cast<std::size_t>(r);
-      column_min[ci] = std::min(column_min[ci], tile.x_min);
-      column_max[ci] = std::max(column_max[ci], tile.x_max);
-      row_min[ri] = std::min(row_min[ri], tile.y_min);
-      row_max[ri] = std::max(row_max[ri], tile.y_max);
+      column_min[c] = std::min(column_min[c], tile.x_min);
+      column_max[c] = std::max(column_max[c], tile.x_max);
+      row_min[r] = std::min(row_min[r], tile.y_min);
+      row_max[r] = std::max(row_max[r], tile.y_max);
       x_min = std::min(x_min, tile.x_min);
       x_max = std::max(x_max, tile.x_max);
       y_min = std::min(y_min, tile.y_min);

@@ -127,9 +127,9 @@ struct TileRaster {
 void Renderer::draw_tile(int column, int row) {
   TileRaster raster;
   raster.clear();
-  const std::size_t index = static_cast<std::size_t>(row * rays_.columns + column);
+  const std::size_t index = row * rays_.columns + column;
   const RayTable::Tile& tile = rays_.tiles[index];
-  const std::size_t first = static_cast<std::size_t>(row * kTile * rays_.stride + column * kTile);
+  const std::size_t first = row * kTile * rays_.stride + column * kTile;
   const float *x = rays_.x.data() + first, *y = rays_.y.data() + first;
   const Coefficients none{};
   for (std::uint32_t n = heads_[index]; n != kNoNode; n = nodes_[n].next) {

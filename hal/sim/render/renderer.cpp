@@ -32,7 +32,7 @@ CameraPose camera_pose(const Trajectory& trajectory, const CameraRig& rig, doubl
 
 Renderer::Renderer(const World& world, const Trajectory& trajectory, const CameraRig& rig)
     : world_(world), trajectory_(trajectory), rig_(rig), rays_(rig.lens) {
-  row_poses_.resize(static_cast<std::size_t>(rays_.rows) + 1);
+  row_poses_.resize(rays_.rows + 1);
   surfaces_.reserve(kMaxSurfaces);
   triangles_.reserve(kMaxTriangles);
   coefficients_.reserve(kMaxTriangles);
@@ -154,7 +154,7 @@ void Renderer::add_triangle(const Vec3& a, const Vec3& b, const Vec3& c, std::ui
   while (r1 >= r0 && rays_.row_min[r1] > y1) --r1;
   for (int r = r0; r <= r1; ++r) {
     for (int col = c0; col <= c1; ++col) {
-      const std::size_t at = static_cast<std::size_t>(r * rays_.columns + col);
+      const std::size_t at = r * rays_.columns + col;
       const RayTable::Tile& tile = rays_.tiles[at];
       if (tile.x_max < x0 || tile.x_min > x1 || tile.y_max < y0 || tile.y_min > y1) continue;
       if (margin_ == 0) {  // an edge that leaves the whole tile outside

@@ -12,7 +12,7 @@ Vec2 Renderer::project_rolling(const Vec3& p_mid, const Vec3& velocity_cam) cons
   if (rig_.readout_s <= 0) return px;
   for (int i = 0; i < 3; ++i) {  // the row decides the pose, the pose the row
     const double at = std::clamp((px.y() + 0.5) / kTile, 0.0, static_cast<double>(rays_.rows) - 1e-9);
-    const std::size_t k = static_cast<std::size_t>(at);
+    const auto k = static_cast<std::size_t>(at);
     const double f = at - static_cast<double>(k);
     const auto seen = [&](const RowPose& r) -> Vec3 { return r.R * (p_mid + r.dt_s * velocity_cam) + r.t; };
     const Vec3 p = (1 - f) * seen(row_poses_[k]) + f * seen(row_poses_[k + 1]);
@@ -24,7 +24,7 @@ Vec2 Renderer::project_rolling(const Vec3& p_mid, const Vec3& velocity_cam) cons
 void Renderer::find_boxes() {
   boxes_.clear();
   for (const MoverInSight& seen : movers_) {
-    const int pixels = mover_pixels_[static_cast<std::size_t>(seen.mover) + 1];
+    const int pixels = mover_pixels_[seen.mover + 1];
     if (pixels == 0) continue;
     const Mover& mover = world_.movers()[seen.mover];
     TrueBox box{seen.mover, mover.kind, mover.moving, 1e9, 1e9, -1e9, -1e9, pixels};
@@ -89,7 +89,7 @@ void Renderer::cast_mover_shadows(double) {
     const int v0 = std::max(0, static_cast<int>(y0 - m)), v1 = std::min(rig_.lens.height - 1, static_cast<int>(y1 + m));
     for (int v = v0; v <= v1; ++v) {
       for (int u = u0; u <= u1; ++u) {
-        const std::size_t i = static_cast<std::size_t>(v * rays_.stride + u);
+        const std::size_t i = v * rays_.stride + u;
         if (ground_[i] == 0) continue;
         const double z = 1.0 / static_cast<double>(inverse_depth_[i]);
         const Vec3 p = pose_.R_world_cam * Vec3(rays_.x[i] * z, rays_.y[i] * z, z) + pose_.position_m - at;

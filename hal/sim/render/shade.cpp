@@ -156,7 +156,7 @@ void Renderer::shade_tile(int column, int row, const float* depth, const std::ui
     float R[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, t[3] = {0, 0, 0}, dt = 0;
     if (rolling) {
       // The row's rays and eye, seen from the middle row's frame.
-      const RowPose &a = row_poses_[row], &b = row_poses_[static_cast<std::size_t>(row) + 1];
+      const RowPose &a = row_poses_[row], &b = row_poses_[row + 1];
       const double f = (y + 0.5) / kTile;
       for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) R[i][j] = static_cast<float>((1 - f) * a.R(j, i) + f * b.R(j, i));
@@ -167,7 +167,7 @@ void Renderer::shade_tile(int column, int row, const float* depth, const std::ui
     }
     for (int x = 0; x < kTile; x += lanes) {
       const int at = y * kTile + x;
-      const std::size_t pixel = static_cast<std::size_t>((row * kTile + y) * rays_.stride + column * kTile + x);
+      const std::size_t pixel = (row * kTile + y) * rays_.stride + column * kTile + x;
       const V rx = hn::LoadU(d, &rays_.x[pixel]), ry = hn::LoadU(d, &rays_.y[pixel]);
       V dx = rx, dy = ry, dz = hn::Set(d, 1.0f);
       if (rolling) {
@@ -264,8 +264,8 @@ void Renderer::shade_tile(int column, int row, const float* depth, const std::ui
         }
         const int u = column * kTile + x + k, v = row * kTile + y;
         if (owner != 0 && u < rig_.lens.width && v < rig_.lens.height) ++mover_pixels_[owner];
-        mover_mask_[pixel + static_cast<std::size_t>(k)] = owner;
-        ground_[pixel + static_cast<std::size_t>(k)] = on_ground[k];
+        mover_mask_[pixel + k] = owner;
+        ground_[pixel + k] = on_ground[k];
       }
     }
   }

@@ -16,8 +16,8 @@ constexpr float kLeastBlurPx = 0.3f;
 Sensor::Sensor(const SensorModel& model, const CameraRig& rig, const Vec3& sun_world, std::uint64_t seed)
     : model_(model), rig_(rig), sun_world_(sun_world), seed_(seed) {
   const std::size_t tile = kTile;
-  const std::size_t stride = (static_cast<std::size_t>(rig.lens.width) + tile - 1) / tile * tile;
-  blurred_.resize(stride * ((static_cast<std::size_t>(rig.lens.height) + tile - 1) / tile * tile));
+  const std::size_t stride = (rig.lens.width + tile - 1) / tile * tile;
+  blurred_.resize(stride * ((rig.lens.height + tile - 1) / tile * tile));
   veil_.resize(stride);
   noise_.resize(kNoiseValues + stride);
   Rng rng(seed, 0x9015e);
@@ -56,7 +56,7 @@ void Sensor::blur(const Renderer& scene) {
   };
   for (int r = 0; r < height; ++r) {
     for (int c = 0; c < width; ++c) {
-      const std::size_t i = static_cast<std::size_t>(r * stride + c);
+      const std::size_t i = r * stride + c;
       const float X = rays.x[i], Y = rays.y[i], inverse = scene.inverse_depth()[i];
       const float common = v.z() * inverse + w.x() * Y - w.y() * X;
       const float mx = kx * (-v.x() * inverse - w.y() + w.z() * Y + X * common);
@@ -115,7 +115,7 @@ void Sensor::expose(const Renderer& scene, double t_s, std::uint32_t index, cons
     const double t_row = t_s + (r - (height - 1) / 2.0) * line_s;
     const float gain =
         static_cast<float>(wanted * (1 + depth * std::cos(2 * std::numbers::pi * model_.flicker_hz * t_row)));
-    const std::size_t first = static_cast<std::size_t>(r * stride);
+    const std::size_t first = r * stride;
     const float *x = &rays.x[first], *y = &rays.y[first], *in = &blurred_[first];
     if (glare > 0) {
       for (int c = 0; c < width; ++c) {

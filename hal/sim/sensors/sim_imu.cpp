@@ -113,9 +113,8 @@ hal::ImuStatus SimImu::next(hal::ImuSample* sample, rt::TimeNs) {
     }
     const double gyro = seen_gyro[i] + truth_.gyro_bias_rad_s[i] + model_.gyro_noise * root * rng_.gaussian();
     const double accel = seen_accel[i] + truth_.accel_bias_m_s2[i] + model_.accel_noise * root * rng_.gaussian();
-    const std::size_t k = static_cast<std::size_t>(i);
-    sample->gyro_rad_s[k] = measured(gyro, model_.gyro_range_rad_s, model_.quantise);
-    sample->accel_m_s2[k] = measured(accel, model_.accel_range_m_s2, model_.quantise);
+    sample->gyro_rad_s[i] = measured(gyro, model_.gyro_range_rad_s, model_.quantise);
+    sample->accel_m_s2[i] = measured(accel, model_.accel_range_m_s2, model_.quantise);
   }
   ++index_;
   return hal::ImuStatus::kSample;

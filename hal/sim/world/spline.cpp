@@ -26,7 +26,7 @@ SplineSample QuinticSpline::sample(double t_s) const {
   const double s = std::clamp(t_s / knot_s_, 0.0, spans);
   const double span = std::min(std::floor(s), spans - 1.0);
   const double u = s - span;
-  const std::size_t first = static_cast<std::size_t>(span);
+  const auto first = static_cast<std::size_t>(span);
   SplineSample out{Vec6::Zero(), Vec6::Zero(), Vec6::Zero()};
   for (std::size_t i = 0; i < 6; ++i) {
     // Horner for the polynomial and its two derivatives at once.

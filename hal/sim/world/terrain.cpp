@@ -8,12 +8,12 @@
 
 namespace godwit::sim {
 
-Terrain::Terrain(double relief_m, std::uint64_t seed) : heights_(static_cast<std::size_t>(kCells * kCells), 0.0f) {
+Terrain::Terrain(double relief_m, std::uint64_t seed) : heights_(kCells * kCells, 0.0f) {
   // Value noise, periodic: hills of 205, 102 and 51 m, each half as high as the one before.
   double amplitude = 0.6 * relief_m;
   for (const int cell : {64, 32, 16}) {
     const int n = kCells / cell;
-    std::vector<double> lattice(static_cast<std::size_t>(n * n));
+    std::vector<double> lattice(n * n);
     Rng rng(seed, static_cast<std::uint64_t>(cell));
     for (double& v : lattice) v = rng.uniform(-0.5, 0.5);
     const auto at = [&](int i, int j) { return lattice[(j % n) * n + i % n]; };

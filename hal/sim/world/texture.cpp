@@ -11,21 +11,13 @@ std::uint8_t to_byte(double v) {
 }
 }  // namespace
 
-Canvas::Canvas(int size)
-    : size_(size),
-      brightness_(static_cast<std::size_t>(size) * static_cast<std::size_t>(size), 128),
-      grain_(brightness_.size(), 64) {
+Canvas::Canvas(int size) : size_(size), brightness_(size * size, 128), grain_(brightness_.size(), 64) {
   assert(size >= 4 && (size & (size - 1)) == 0);
 }
 
 void Canvas::fill(double brightness, double grain) {
   std::fill(brightness_.begin(), brightness_.end(), to_byte(brightness));
   std::fill(grain_.begin(), grain_.end(), to_byte(grain));
-}
-
-void Canvas::set(int x, int y, double brightness, double grain) {
-  brightness_[index(x, y)] = to_byte(brightness);
-  grain_[index(x, y)] = to_byte(grain);
 }
 
 void Canvas::scale_row(int y, std::span<const float> factors) {
@@ -83,17 +75,17 @@ void Canvas::noise(std::span<const int> cells, double amplitude, std::uint64_t s
   for (const int cell : cells) {
     // The finest noise repeats after a while: nobody sees it, and it need not be made for the whole world.
     Octave o{cell, std::clamp(size_ / cell, 1, 1024), {}, {}, {}};
-    o.values.resize(static_cast<std::size_t>(o.lattice) * static_cast<std::size_t>(o.lattice));
+    o.values.resize(o.lattice * o.lattice);
     Rng rng(seed, static_cast<std::uint64_t>(cell));
     for (float& v : o.values) v = static_cast<float>(rng.uniform(-1, 1));
-    o.row.resize(static_cast<std::size_t>(size_ / cell) + 2);
+    o.row.resize(size_ / cell + 2);
     for (int i = 0; i < cell; ++i) {
       const float t = (static_cast<float>(i) + 0.5f) / static_cast<float>(cell);
       o.weight.push_back(t * t * (3 - 2 * t));
     }
     octaves.push_back(std::move(o));
   }
-  std::vector<float> sum(static_cast<std::size_t>(size_));
+  std::vector<float> sum(size_);
   const float gain = static_cast<float>(amplitude) * (by_grain ? 1.0f / 128.0f : 1.0f);
   for (int y = 0; y < size_; ++y) {
     std::fill(sum.begin(), sum.end(), 0.0f);
@@ -127,11 +119,11 @@ void Canvas::noise(std::span<const int> cells, double amplitude, std::uint64_t s
 }
 
 Texture::Texture(const Canvas& canvas) : size(canvas.size()) {
-  const std::size_t texels_0 = static_cast<std::size_t>(size) * static_cast<std::size_t>(size);
+  const std::size_t texels_0 = size * size;
   std::vector<std::uint8_t> b(texels_0), g(texels_0);
   for (int y = 0; y < size; ++y) {
     for (int x = 0; x < size; ++x) {
-      const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) + static_cast<std::size_t>(x);
+      const std::size_t i = y * size + x;
       b[i] = canvas.brightness(x, y);
       g[i] = canvas.grain(x, y);
     }
@@ -139,10 +131,7 @@ Texture::Texture(const Canvas& canvas) : size(canvas.size()) {
   texels.reserve(texels_0 / 3 * 4 + 4);
   for (int s = size; s >= 1 && levels < kMaxLevels; s /= 2, ++levels) {
     offset[levels] = static_cast<int>(texels.size());
-    const auto at = [s](int x, int y) {
-      return static_cast<std::size_t>(y & (s - 1)) * static_cast<std::size_t>(s) +
-             static_cast<std::size_t>(x & (s - 1));
-    };
+    const auto at = [s](int x, int y) { return (y & (s - 1)) * s + (x & (s - 1)); };
     const auto half = [&](int x, int y) { return std::min((b[at(x, y)] + ((x ^ y) & 1u)) >> 1u, 127u); };
     for (int y = 0; y < s; ++y) {
       for (int x = 0; x < s; ++x) {
@@ -158,8 +147,7 @@ Texture::Texture(const Canvas& canvas) : size(canvas.size()) {
                                             c[at(2 * x + 1, 2 * y + 1)] + 2) /
                                            4);
         };
-        const std::size_t to =
-            static_cast<std::size_t>(y) * static_cast<std::size_t>(s / 2) + static_cast<std::size_t>(x);
+        const std::size_t to = y * (s / 2) + x;
         const std::uint8_t mean_b = mean(b), mean_g = mean(g);
         b[to] = mean_b;
         g[to] = mean_g;

@@ -33,12 +33,11 @@ class Canvas {
 
   std::uint8_t brightness(int x, int y) const { return brightness_[index(x, y)]; }
   std::uint8_t grain(int x, int y) const { return grain_[index(x, y)]; }
-  void set(int x, int y, double brightness, double grain);
 
  private:
   std::size_t index(int x, int y) const {
     const int m = size_ - 1;
-    return static_cast<std::size_t>(y & m) * static_cast<std::size_t>(size_) + static_cast<std::size_t>(x & m);
+    return (y & m) * size_ + (x & m);
   }
   void blend(int x, int y, double cover, double brightness, double grain);
 

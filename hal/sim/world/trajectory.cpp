@@ -184,7 +184,7 @@ QuinticSpline make_spline(const TrajectoryPlan& plan, double ground_m, std::uint
   const std::vector<Rough>& rough = planner.rough();
   const double duration = static_cast<double>(rough.size()) * kPlanStep;
   const int count = std::max(1, static_cast<int>(std::ceil(duration / kKnot))) + 5;
-  std::vector<Vec6> control(static_cast<std::size_t>(count));
+  std::vector<Vec6> control(count);
   Rng rng(seed, 0x5741);
   // Sway: a first-order wandering of position and tilt, zero near the ground.
   Vec6 sway = Vec6::Zero();

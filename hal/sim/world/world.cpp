@@ -62,7 +62,7 @@ void World::light_ground(Canvas* ground) const {
 
   const int n = ground->size();
   const double texel = kWorldM / n;
-  std::vector<float> grid(static_cast<std::size_t>(kLightCells * kLightCells));
+  std::vector<float> grid(kLightCells * kLightCells);
   const double step = kWorldM / kLightCells;
   for (int j = 0; j < kLightCells; ++j) {
     for (int i = 0; i < kLightCells; ++i) {
@@ -71,7 +71,7 @@ void World::light_ground(Canvas* ground) const {
       grid[j * kLightCells + i] = static_cast<float>(irradiance(normal, Vec3(x, y, 0)));
     }
   }
-  std::vector<std::uint8_t> shadow(static_cast<std::size_t>(n) * static_cast<std::size_t>(n), 0);
+  std::vector<std::uint8_t> shadow(n * n, 0);
   if (!plan_.night && sun_.z() > 0.02) {
     const Vec2 cast(-sun_.x() / sun_.z(), -sun_.y() / sun_.z());  // shadow's shift a metre of height
     for (const Shade& s : shades_) {
@@ -110,22 +110,20 @@ void World::light_ground(Canvas* ground) const {
             }
             in = low <= high;
           }
-          if (in)
-            shadow[static_cast<std::size_t>(ty & (n - 1)) * static_cast<std::size_t>(n) +
-                   static_cast<std::size_t>(tx & (n - 1))] = 1;
+          if (in) shadow[(ty & (n - 1)) * n + (tx & (n - 1))] = 1;
         }
       }
     }
   }
   const float dark = static_cast<float>(plan_.ambient * 0.9);
   const int run = n / kLightCells;  // texels a cell
-  std::vector<float> light(static_cast<std::size_t>(n));
+  std::vector<float> light(n);
   for (int y = 0; y < n; ++y) {
     const int j = y / run;
     const float v = (static_cast<float>(y % run) + 0.5f) / static_cast<float>(run);
     const auto row = [&](int k) { return &grid[(k % kLightCells) * kLightCells]; };
     const float *r0 = row(j), *r1 = row(j + 1);
-    const std::uint8_t* shaded = &shadow[static_cast<std::size_t>(y) * static_cast<std::size_t>(n)];
+    const std::uint8_t* shaded = &shadow[y * n];
     for (int i = 0; i < kLightCells; ++i) {
       const int i1 = (i + 1) % kLightCells;
       const float a = r0[i] + v * (r1[i] - r0[i]), b = r0[i1] + v * (r1[i1] - r0[i1]);

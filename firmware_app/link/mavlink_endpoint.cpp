@@ -1,4 +1,4 @@
-#include "firmware_app/link/mavlink/endpoint.h"
+#include "firmware_app/link/mavlink_endpoint.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "firmware_app/link/dronecan/node.h"
+#include "firmware_app/link/dronecan_node.h"
 
 #include <algorithm>
 #include <cmath>
