@@ -12,10 +12,13 @@ OwnClock::Verdict OwnClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, rt:
     if (strange_ == 0 || std::abs(off_ns - strange_least_ns_) > kSameNs) {
       strange_ = 0;
       strange_least_ns_ = off_ns;
+      strange_stamp_ns_ = stamp_ns;
+      strange_arrival_ns_ = arrival_ns;
     }
     strange_least_ns_ = std::min(strange_least_ns_, off_ns);
     if (++strange_ < kEnough) return Verdict::kStrange;
     strange_ = 0;
+    if (stamp_ns - strange_stamp_ns_ < (arrival_ns - strange_arrival_ns_) / 2) return Verdict::kStrange;  // it stands
     follows_ = true;
     offset_ns_ = strange_least_ns_;
     window_end_ns_ = 0;
