@@ -170,6 +170,10 @@ TEST_F(IioImuTest, ADevicesOwnClockIsToldAndFollowed) {
     EXPECT_STREQ(e.what, said);
   }
   EXPECT_FALSE(imu_->events()->take(&e));
+  // Another driver: its times need no offset.
+  measure(4000);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
 }
 
 // Strange ones that are no clock: each another way off, or one that stands.
