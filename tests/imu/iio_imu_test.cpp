@@ -170,16 +170,25 @@ TEST_F(IioImuTest, ADevicesOwnClockIsToldAndFollowed) {
     EXPECT_STREQ(e.what, said);
   }
   EXPECT_FALSE(imu_->events()->take(&e));
+  // Another driver: its times need no offset.
+  measure(4000);
+  ASSERT_EQ(next(), ImuStatus::kSample);
+  EXPECT_EQ(s_.t_ns, now_);
 }
 
-// Strange ones that are no clock: each another way off.
+// Strange ones that are no clock: each another way off, or one that stands.
 TEST_F(IioImuTest, TimesThatFollowNoClockAreLeftOut) {
   open();
-  for (int i = 0; i < 100; ++i) {
-    measure(i, (i % 3 + 2) * rt::kNsPerSecond);
+  const rt::TimeNs began_ns = now_;
+  for (int i = 0; i < 200; ++i) {
+    measure(i, i < 100 ? (i % 3 + 2) * rt::kNsPerSecond : now_ + 5 * rt::kNsPerMs - began_ns + 10 * rt::kNsPerSecond);
     EXPECT_EQ(next(), ImuStatus::kFault);
   }
-  measure(100);
+  rt::LogEntry e;
+  ASSERT_TRUE(imu_->events()->take(&e));
+  EXPECT_STREQ(e.what, "IMU clock is not CLOCK_MONOTONIC");
+  EXPECT_FALSE(imu_->events()->take(&e));
+  measure(200);
   EXPECT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.t_ns, now_);
 }

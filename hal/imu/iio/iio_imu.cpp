@@ -40,7 +40,7 @@ const char* IioImu::start() {
     line.heard_ns = line.port->now_ns();
     line.last_ns = 0;
     line.offset_ns = line.port->clock_offset_ns();
-    line.clock.start();
+    line.clock.resume();
     if (line.is.rate_hz > 0 && std::abs(line.is.rate_hz - settings_.rate_hz) > 0.05 * settings_.rate_hz) {
       events_.say({.t_ns = line.heard_ns,
                    .level = rt::LogLevel::kWarning,

@@ -148,11 +148,12 @@ class LibiioPort final : public IioPort {
     }
     if (!out.has_accel && !out.has_gyro) return refuse("iio: " + name_ + " measures neither rate nor acceleration");
     time_ = iio_device_find_channel(device_, "timestamp", false);
-    if (time_ == nullptr) return refuse("iio: " + name_ + " gives no times");
+    if (time_ == nullptr) return refuse("iio: " + name_ + " gives no times: its driver has no buffer");
     iio_channel_enable(time_);
     // The default is CLOCK_REALTIME, which may be set at any moment.
     realtime_ = iio_device_attr_write(device_, "current_timestamp_clock", "monotonic") < 0;
     set_rate(&out);
+    choose_trigger();
     buffer_ = iio_device_create_buffer(device_, kGather, false);
     if (buffer_ == nullptr) {
       return refuse("iio: " + name_ + ": its buffer cannot be switched on (no trigger?): " + std::strerror(errno));
@@ -179,10 +180,8 @@ class LibiioPort final : public IioPort {
   std::string listed() const {
     std::string out;
     for (unsigned i = 0; i < iio_context_get_devices_count(context_); ++i) {
-      const iio_device* const d = iio_context_get_device(context_, i);
-      const char* const name = iio_device_get_name(d);
       if (!out.empty()) out.append(", ");
-      out.append(name != nullptr ? name : iio_device_get_id(d));
+      out.append(name_of(iio_context_get_device(context_, i)));
     }
     return out.empty() ? "there are none" : "there are " + out;
   }
@@ -191,6 +190,22 @@ class LibiioPort final : public IioPort {
     timespec t{};
     clock_gettime(CLOCK_REALTIME, &t);
     return static_cast<rt::TimeNs>(t.tv_sec) * rt::kNsPerSecond + t.tv_nsec - rt::monotonic_now_ns();
+  }
+
+  /// Some drivers (bmg160, the gyroscope of a BMI088) have a trigger of their own, for new data, and use none until
+  /// they are told. Where that does not help, the buffer cannot be switched on, which is told.
+  void choose_trigger() {
+    const iio_device* chosen = nullptr;
+    // None is an empty text, which libiio takes for an error.
+    if (iio_device_get_trigger(device_, &chosen) == 0 && chosen != nullptr) return;
+    const std::string id = iio_device_get_id(device_), number = id.substr(id.find_first_of("0123456789"));
+    const iio_device* const own = iio_context_find_device(context_, (name_of(device_) + "-dev" + number).c_str());
+    if (own != nullptr && iio_device_is_trigger(own)) iio_device_set_trigger(device_, own);
+  }
+
+  static std::string name_of(const iio_device* device) {
+    const char* const name = iio_device_get_name(device);
+    return name != nullptr ? name : iio_device_get_id(device);
   }
 
   /// Drivers have it at the device or at each channel; one that has it nowhere has one rate.

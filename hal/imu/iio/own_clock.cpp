@@ -6,16 +6,23 @@
 namespace godwit::hal {
 
 OwnClock::Verdict OwnClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, rt::TimeNs* t_ns) {
-  const rt::TimeNs delay_ns = arrival_ns - stamp_ns - offset_ns_;
-  if (delay_ns < -kFutureNs || delay_ns > kOldNs) {
+  const auto strange = [](rt::TimeNs delay_ns) { return delay_ns < -kFutureNs || delay_ns > kOldNs; };
+  if (strange(arrival_ns - stamp_ns - offset_ns_) && !strange(arrival_ns - stamp_ns)) {
+    follows_ = false;  // CLOCK_MONOTONIC after all, as after another driver has taken the device
+    offset_ns_ = 0;
+  }
+  if (strange(arrival_ns - stamp_ns - offset_ns_)) {
     const rt::TimeNs off_ns = arrival_ns - stamp_ns;
     if (strange_ == 0 || std::abs(off_ns - strange_least_ns_) > kSameNs) {
       strange_ = 0;
       strange_least_ns_ = off_ns;
+      strange_stamp_ns_ = stamp_ns;
+      strange_arrival_ns_ = arrival_ns;
     }
     strange_least_ns_ = std::min(strange_least_ns_, off_ns);
     if (++strange_ < kEnough) return Verdict::kStrange;
     strange_ = 0;
+    if (stamp_ns - strange_stamp_ns_ < (arrival_ns - strange_arrival_ns_) / 2) return Verdict::kStrange;  // it stands
     follows_ = true;
     offset_ns_ = strange_least_ns_;
     window_end_ns_ = 0;

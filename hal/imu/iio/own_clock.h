@@ -21,15 +21,19 @@ class OwnClock {
   static constexpr rt::TimeNs kFutureNs = 5 * rt::kNsPerMs;
   /// A driver's buffer does not hold longer than this.
   static constexpr rt::TimeNs kOldNs = rt::kNsPerSecond;
-  /// So many strange ones in a row, off by the same within kSameNs, are a clock: 0.1 s of a sensor at 200 Hz.
+  /// So many strange ones in a row are a clock (0.1 s of a sensor at 200 Hz), if they are off by the same within
+  /// kSameNs, whatever a busy machine adds to their delays, and go on at least half as fast as ours.
   static constexpr int kEnough = 20;
-  static constexpr rt::TimeNs kSameNs = 50 * rt::kNsPerMs;
+  static constexpr rt::TimeNs kSameNs = rt::kNsPerSecond / 2;
   static constexpr rt::TimeNs kWindowNs = rt::kNsPerSecond;
   /// Quartzes drift apart by less in kWindowNs; what the least delay rises by beyond is load.
   static constexpr rt::TimeNs kSlewNs = rt::kNsPerMs;
 
-  /// Forgets everything.
-  void start() { *this = {}; }
+  /// The device was opened anew. If it was not unplugged, its clock is the one that was followed.
+  void resume() {
+    strange_ = 0;
+    window_end_ns_ = 0;
+  }
   /// stamp_ns came at arrival_ns. kGood: *t_ns is its time on CLOCK_MONOTONIC.
   Verdict take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, rt::TimeNs* t_ns);
   /// What is added to stamps now; 0 while they are CLOCK_MONOTONIC's.
@@ -39,7 +43,7 @@ class OwnClock {
   bool follows_ = false;
   rt::TimeNs offset_ns_ = 0;
   int strange_ = 0;
-  rt::TimeNs strange_least_ns_ = 0;
+  rt::TimeNs strange_least_ns_ = 0, strange_stamp_ns_ = 0, strange_arrival_ns_ = 0;  ///< the last two: of the first
   rt::TimeNs window_end_ns_ = 0, window_least_ns_ = 0;  ///< of delays in the running second
 };
 
