@@ -80,6 +80,9 @@ class WatchedTap final : public app::FrameTap {
   void imu_silent(bool silent) override {
     if (next_ != nullptr) next_->imu_silent(silent);
   }
+  void reading(const hal::ImuSample& sample) override {
+    if (next_ != nullptr) next_->reading(sample);
+  }
   void detector_failed(bool failed) override {
     if (next_ != nullptr) next_->detector_failed(failed);
   }

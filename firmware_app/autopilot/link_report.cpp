@@ -22,6 +22,10 @@ std::vector<std::string> link_report(const link::LinkStatus& s) {
   lines.push_back(fmt::format("{} ODOMETRY sent, {} passed over for a newer one, {} stale{}", s.odometry_sent,
                               s.poses_paced, s.poses_stale,
                               s.has_bus ? fmt::format("; bus load {:.1f} %", s.bus_load_percent) : ""));
+  if (s.poses_carried > 0) {
+    lines.push_back(fmt::format("{} of them between pictures, by the inertial sensor{}", s.poses_carried,
+                                s.readings_missed > 0 ? fmt::format("; {} readings missed", s.readings_missed) : ""));
+  }
   if (s.pictures_repeated > 0) {
     lines.push_back(
         fmt::format("{} pictures were the one before, bit for bit: nothing was sent for them", s.pictures_repeated));
@@ -46,6 +50,8 @@ std::string link_report_json(const link::LinkStatus& s) {
                   {"odometry_sent", s.odometry_sent},
                   {"poses_paced", s.poses_paced},
                   {"poses_stale", s.poses_stale},
+                  {"poses_carried", s.poses_carried},
+                  {"readings_missed", s.readings_missed},
                   {"pictures_repeated", s.pictures_repeated},
                   {"poses_replaced", s.tx.poses_replaced},
                   {"messages_refused", s.tx.refused},

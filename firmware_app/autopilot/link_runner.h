@@ -68,6 +68,8 @@ class LinkRunner final : public FrameTap {
   void detector_failed(bool failed) override { detector_ok_.store(!failed, std::memory_order_relaxed); }
   /// Tracker thread: it lives, and the camera is silent.
   void no_picture(rt::TimeNs now_ns, rt::TimeNs t_last_capture_ns) override;
+  /// The inertial sensor's thread: for the poses between two pictures. No allocation, no lock, no wait.
+  void reading(const hal::ImuSample& sample) override { service_->reading(sample); }
   /// For the tracker: what knows metres on the bus; null where nobody is to read it. As long as this lives.
   hal::AidSource* aids() { return aids_ ? &*aids_ : nullptr; }
   /// What became of it, a line a kind; any thread.

@@ -101,6 +101,8 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
     const double inflation = 1 / std::pow(std::clamp(record.trust, kLeastTrust, 1.0), 2);
     for (double& variance : s.covariance) variance *= inflation;
     for (double& variance : s.velocity_covariance) variance *= inflation;
+    s.motion = record.motion;
+    for (double& variance : s.motion.covariance) variance *= inflation;
   } else if (s.has_velocity) {
     // Positions on end share what the map is off by: between them only each frame's own noise counts.
     const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);

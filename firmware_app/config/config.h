@@ -127,8 +127,9 @@ struct Config {
     enum class Arming { kAllowWithoutPose, kRequirePose };
     std::string mavlink;  ///< "udp:HOST:PORT[:LOCALPORT]" or "serial:DEVICE:BAUD"; empty: through the bus
     Profile profile = Profile::kArdupilot;
-    int rate = 30;      ///< ODOMETRY a second
-    int system_id = 0;  ///< 0: the autopilot's
+    int rate = 30;                  ///< ODOMETRY a second
+    bool between_pictures = false;  ///< at that rate and for the newest reading's time, whatever the camera's
+    int system_id = 0;              ///< 0: the autopilot's
     Arming arming = Arming::kAllowWithoutPose;
     std::vector<double> T_body_cam;  ///< 4 x 4 by rows; empty: the calibration's, or else looking ahead
     double world_heading_deg = 0;    ///< of the body's front when the map begins

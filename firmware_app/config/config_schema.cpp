@@ -107,6 +107,7 @@ void add_link(Config* c, std::vector<Key>* to) {
            keys::choice<Profile>("link.profile", {{"ardupilot", Profile::kArdupilot}, {"px4", Profile::kPx4}},
                                  &c->link.profile),
            keys::whole("link.rate", 20, 40, &c->link.rate),
+           keys::flag("link.between_pictures", &c->link.between_pictures),
            keys::whole("link.system_id", 0, 255, &c->link.system_id),
            keys::choice<Arming>(
                "link.arming",

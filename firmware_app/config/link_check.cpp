@@ -35,6 +35,12 @@ void check_link(ConfigReport* report) {
   if (c.link.profile == Config::Link::Profile::kPx4 && !c.can.bus.empty() && c.link.mavlink.empty()) {
     report->mistake("link.profile", "PX4 takes no MAVLink through CAN: give it link.mavlink as well");
   }
+  if (c.link.between_pictures && !c.imu.flown_by()) {
+    report->mistake(
+        "link.between_pictures",
+        "an inertial sensor carries poses on: with imu.source = \"none\" or imu.enabled = false only false is "
+        "allowed");
+  }
   if (c.can.node_id == c.can.autopilot_node) {
     report->mistake("can.node_id", std::to_string(c.can.node_id) + " is can.autopilot_node as well");
   }

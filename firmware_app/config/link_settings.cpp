@@ -60,6 +60,7 @@ link::LinkSettings link_settings(const Config& config, const std::optional<std::
   odometry.bench_metric = config.link.bench_metric;
   odometry.inertial = config.imu.flown_by();
   s.link.imu_required = config.imu.flown_by();
+  s.between_pictures = config.link.between_pictures;
   if (!config.link.origin.empty()) {
     s.link.mavlink.origin =
         link::mavlink::GlobalOrigin{config.link.origin[0], config.link.origin[1], config.link.origin[2]};

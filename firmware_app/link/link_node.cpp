@@ -1,6 +1,7 @@
 #include "firmware_app/link/link_node.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 
 #include "firmware_app/link/dronecan/types.h"
 
@@ -60,7 +61,8 @@ LinkNode::LinkNode(const LinkConfig& config, const LinkPorts& ports, const Store
           &carrier_, ports.inputs),
       filters_(ports.inputs != nullptr),
       watch_(config.patience),
-      resets_(stored.reset_counter) {
+      resets_(stored.reset_counter),
+      between_(ports.readings != nullptr ? std::make_unique<PoseCarrier>(ports.readings) : nullptr) {
   config_.odometry.profile = static_cast<Profile>(parameters_.get(Parameter::kProfile));
   reassembler_.protect_source(static_cast<std::uint8_t>(parameters_.get(Parameter::kAutopilotNode)));
   filters_.follow(node_.node_id(), ports_.bus, &reassembler_);
@@ -89,10 +91,9 @@ void LinkNode::take_sample(const PoseSample& sample, rt::TimeNs now_ns) {
   }
   sample_ = sample;
   watch_.came(now_ns);
-  const BodyPose pose = body_pose(sample, config_.odometry);
-  resets_.add(hold_.take(pose, sample.map_id, sample.reset_counter, now_ns));
-  const bool known = sample.has_gravity || config_.odometry.bench_metric;
-  bad_pose_ = vo::claims_pose(sample.state) && known && !pose.attitude_known;
+  // What can be carried goes out in carry_on().
+  if (between_ && between_->reaches(sample_) > sample_.t_capture_ns) return;
+  offer(sample_, now_ns);
   // A pose that fails is told at once, whatever the plan says.
   const bool failed = hold_.pose().quality < 0 && status_.quality >= 0;
   const bool due = pacing_.due(sample.t_capture_ns, period_ns()) || failed;
@@ -101,16 +102,42 @@ void LinkNode::take_sample(const PoseSample& sample, rt::TimeNs now_ns) {
   status_.quality = hold_.pose().quality;
 }
 
+void LinkNode::offer(const PoseSample& sample, rt::TimeNs now_ns) {
+  const BodyPose pose = body_pose(sample, config_.odometry);
+  resets_.add(hold_.take(pose, sample.map_id, sample.reset_counter, now_ns));
+  const bool known = sample.has_gravity || config_.odometry.bench_metric;
+  bad_pose_ = vo::claims_pose(sample.state) && known && !pose.attitude_known;
+  t_held_ns_ = sample.t_capture_ns;
+  t_given_ns_ = sample.t_published_ns;
+  // After a pose that was carried past this picture the word that there is none would go back.
+  if (between_ && hold_.pose().quality < 0) t_held_ns_ = pacing_.stamp_without_pose_ns(t_held_ns_);
+}
+
+// The newest measured pose at the newest reading's time, whenever the plan wants one.
+void LinkNode::carry_on(rt::TimeNs now_ns) {
+  const rt::TimeNs t_ns = std::min(between_->reaches(sample_), now_ns);
+  if (watch_.stalled(now_ns) || !pacing_.far_enough(now_ns) || !pacing_.grows(t_ns)) return;
+  if (t_ns <= sample_.t_capture_ns || !pacing_.due(t_ns, period_ns())) return;
+  PoseSample carried;
+  if (!between_->carry(sample_, t_ns, &carried)) return;
+  offer(carried, now_ns);
+  pose_waits_ = true;
+  status_.quality = hold_.pose().quality;
+  ++status_.poses_carried;
+}
+
 void LinkNode::move_poses(rt::TimeNs now_ns) {
   if (endpoint_.t_attitude_ns() != 0) {
     const mavlink::AttitudeQuaternion& a = endpoint_.attitude();
     hold_.heard_attitude({a.q1, a.q2, a.q3, a.q4}, endpoint_.t_attitude_ns());
   }
+  if (between_) between_->hear();
   PoseSample sample;
   if (ports_.poses->read(&sample)) take_sample(sample, now_ns);
+  if (between_) carry_on(now_ns);
   if (pose_waits_ && pacing_.far_enough(now_ns)) {
     pose_waits_ = false;
-    send_pose(sample_.t_capture_ns, sample_.t_published_ns, now_ns);
+    send_pose(t_held_ns_, t_given_ns_, now_ns);
   }
   if (!watch_.any() || !watch_.stalled(now_ns)) return;
   // Camera or odometry fell silent: say so at the usual rate; the last position is told as no pose.
@@ -122,15 +149,15 @@ void LinkNode::move_poses(rt::TimeNs now_ns) {
 }
 
 void LinkNode::send_telemetry(rt::TimeNs now_ns) {
-  if (ports_.bus == nullptr || !watch_.any() || !telemetry_.due(parameters_, now_ns)) return;
+  if (ports_.bus == nullptr || t_held_ns_ == 0 || !telemetry_.due(parameters_, now_ns)) return;
   TelemetrySnapshot snapshot;
   snapshot.state = sample_.state;
   snapshot.has_scale = sample_.has_scale;
   snapshot.has_gravity = sample_.has_gravity;
   snapshot.reset_counter = resets_.value();
   snapshot.map_id = static_cast<std::uint16_t>(sample_.map_id);
-  snapshot.t_capture_ns = sample_.t_capture_ns;
-  snapshot.age_ns = now_ns - sample_.t_capture_ns;
+  snapshot.t_capture_ns = t_held_ns_;
+  snapshot.age_ns = now_ns - t_held_ns_;
   snapshot.temperature_c = health_.temperature_c;
   snapshot.throttled = health_.throttled;
   snapshot.pose = hold_.pose();
@@ -252,6 +279,7 @@ void LinkNode::fill_status(rt::TimeNs now_ns) {
   status_.autopilot_alive = endpoint_.autopilot_alive(now_ns);
   status_.reset_counter = resets_.value();
   status_.pictures_repeated = watch_.repeated();
+  status_.readings_missed = between_ ? between_->missed() : 0;
   status_.synchronised = endpoint_.time_sync().synchronised(now_ns);
   status_.round_trip_ms = rt::to_ms(endpoint_.time_sync().round_trip_ns());
   status_.reception = reassembler_.counters();

@@ -20,6 +20,7 @@
 #include "firmware_app/link/mavlink_endpoint.h"
 #include "firmware_app/link/odometry_message.h"
 #include "firmware_app/link/parameters.h"
+#include "firmware_app/link/pose_carrier.h"
 #include "firmware_app/link/pose_departure.h"
 #include "firmware_app/link/pose_hold.h"
 #include "firmware_app/link/pose_pacing.h"
@@ -78,6 +79,8 @@ struct LinkStatus {
   std::uint64_t poses_stale = 0;  ///< given to us late, twice or from the future; never sent as good
   /// Passed over for a newer one: the camera is faster than VIO_RATE, or poses came bunched.
   std::uint64_t poses_paced = 0;
+  std::uint64_t poses_carried = 0;      ///< sent for a time at which there was no picture
+  std::uint64_t readings_missed = 0;    ///< of the inertial sensor, for carrying alone
   std::uint64_t pictures_repeated = 0;  ///< the one before, bit for bit: nothing was sent for them
   TxCounters tx;
   dronecan::ReassemblyCounters reception;
@@ -98,6 +101,8 @@ struct LinkPorts {
   InputRing* inputs = nullptr;
   rt::TripleBuffer<LinkStatus>* status = nullptr;
   DepartureRing* departures = nullptr;  ///< null: nobody measures
+  /// Poses go out for the newest reading's time, between pictures, too; null: at pictures alone, for theirs.
+  ReadingRing* readings = nullptr;
 };
 
 /// step() belongs to one thread; time is its argument; it does not allocate, lock or block, and its work is bounded.
@@ -130,6 +135,8 @@ class LinkNode {
   void receive(rt::TimeNs now_ns);
   void take_transfer(const dronecan::Transfer& transfer, rt::TimeNs now_ns);
   void take_sample(const PoseSample& sample, rt::TimeNs now_ns);
+  void offer(const PoseSample& sample, rt::TimeNs now_ns);
+  void carry_on(rt::TimeNs now_ns);
   void move_poses(rt::TimeNs now_ns);
   void send_pose(rt::TimeNs t_stamp_ns, rt::TimeNs t_published_ns, rt::TimeNs now_ns);
   void send_origin(rt::TimeNs now_ns);
@@ -160,7 +167,10 @@ class LinkNode {
   TelemetrySender telemetry_;
   BusAccount account_;
 
-  PoseSample sample_;  // the newest one taken
+  std::unique_ptr<PoseCarrier> between_;  // null: nothing goes out between pictures
+  PoseSample sample_;                     // the newest one taken
+  rt::TimeNs t_held_ns_ = 0;              // the time that hold_'s pose refers to
+  rt::TimeNs t_given_ns_ = 0;             // when it was given to us; 0: it was carried on
   SystemHealth health_;
   bool started_ = false;
   bool bad_pose_ = false;

@@ -52,11 +52,11 @@ rt::Result<std::unique_ptr<LinkService>> LinkService::open(const LinkSettings& s
   }
   self->wake_fd_ = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
   if (self->wake_fd_ < 0) return rt::Error{"link: eventfd: " + std::string(std::strerror(errno))};
-  auto node =
-      LinkNode::create(config,
-                       {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
-                        settings.collect_inputs ? &self->inputs_ : nullptr, &self->status_, settings.departures},
-                       stored);
+  auto node = LinkNode::create(config,
+                               {self->bus_.get(), self->bytes_.get(), &self->storage_, &self->poses_, &self->health_,
+                                settings.collect_inputs ? &self->inputs_ : nullptr, &self->status_, settings.departures,
+                                settings.between_pictures ? &self->readings_ : nullptr},
+                               stored);
   if (!node.ok()) return node.error();
   self->node_ = std::move(node).value();
   return self;

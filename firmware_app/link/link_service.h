@@ -19,6 +19,7 @@ struct LinkSettings {
   bool collect_inputs = false;
   LinkConfig link;                      ///< identity.unique_id all zeros: that of this computer
   bool wait_for_bus = false;            ///< an interface or port that is not there yet is looked for, not refused
+  bool between_pictures = false;        ///< poses go out between pictures, too: somebody calls reading()
   DepartureRing* departures = nullptr;  ///< told of each pose that left; outlives the service; null: nobody measures
 };
 
@@ -43,6 +44,10 @@ class LinkService {
   void frame_begun() { node_->frame_begun(rt::monotonic_now_ns()); }
   /// The same thread: its picture was the one before, bit for bit, and the state stands.
   void picture_repeated() { node_->picture_repeated(rt::monotonic_now_ns()); }
+  /// The inertial sensor's thread: the newest reading; heard where poses go out between pictures. The same rules.
+  void reading(const hal::ImuSample& sample) {
+    if (between_pictures_) readings_.push(sample);
+  }
   /// One other thread, whoever watches the machine.
   void publish(const SystemHealth& health) { health_.write(health); }
   /// The pipeline: what the autopilot told, oldest first; false where nothing waits. Who was away for too long hears
@@ -66,7 +71,8 @@ class LinkService {
   LinkNode& node() { return *node_; }
 
  private:
-  explicit LinkService(const LinkSettings& settings) : storage_(settings.state_folder) {}
+  explicit LinkService(const LinkSettings& settings)
+      : storage_(settings.state_folder), between_pictures_(settings.between_pictures) {}
 
   std::vector<std::string> advice_;  ///< all but the interface's
   Storage storage_;
@@ -76,6 +82,8 @@ class LinkService {
   rt::TripleBuffer<SystemHealth> health_;
   rt::TripleBuffer<LinkStatus> status_;
   InputRing inputs_;
+  const bool between_pictures_;
+  ReadingRing readings_;
   std::unique_ptr<LinkNode> node_;
   int wake_fd_ = -1;
 };

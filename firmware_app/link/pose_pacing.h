@@ -30,6 +30,11 @@ class PosePacing {
     const rt::TimeNs next = t_last_stamp_ns_ + rt::kNsPerMs, latest = now_ns - kLatestPoseNs;
     return next > latest ? next : latest;
   }
+  /// The stamp of a word that there is no pose, for a picture: its own, or later than a pose that was carried past it.
+  rt::TimeNs stamp_without_pose_ns(rt::TimeNs t_capture_ns) const {
+    const rt::TimeNs next = t_last_stamp_ns_ + rt::kNsPerMs;
+    return next > t_capture_ns ? next : t_capture_ns;
+  }
   /// False: a message with this stamp would repeat or go back, in the microseconds that are sent.
   bool grows(rt::TimeNs t_stamp_ns) const { return t_stamp_ns / 1000 > t_last_stamp_ns_ / 1000; }
   void sent(rt::TimeNs t_stamp_ns, rt::TimeNs now_ns) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "hal/rt/time.h"
+#include "vo_core/inertial/motion.h"
 #include "vo_core/tracking/state.h"
 
 namespace godwit::link {
@@ -35,6 +36,7 @@ struct PoseSample {
   /// R_true = exp(e) R.
   std::array<double, 36> covariance{};
   std::array<double, 9> velocity_covariance{};  ///< along world axes [m^2/s^2], rows first
+  vo::Motion motion;  ///< of the body in the same world, to go on from; has_scale and has_gravity only
 };
 
 /// How the machine is. Written by whoever watches camera, IMU and threads.

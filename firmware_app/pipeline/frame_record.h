@@ -14,6 +14,7 @@
 #include "firmware_app/pipeline/load_record.h"
 #include "hal/aid/aid.h"
 #include "hal/rt/time.h"
+#include "vo_core/inertial/motion.h"
 #include "vo_core/tracking/state.h"
 
 namespace godwit::app {
@@ -132,6 +133,7 @@ struct FrameRecord {
   std::array<double, 3> velocity{};             ///< of the camera along the frame's axes [m/s]
   std::array<double, 6> velocity_covariance{};  ///< upper triangle by rows
   InertialRecord inertial;
+  vo::Motion motion;                 ///< metric: of the body, for whoever goes on from it until the next picture
   double median_depth = 0;           ///< of the points behind the pose [map units]
   const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe
   MappingRecord mapping;             ///< what the mapper has done since the frame before

@@ -21,6 +21,7 @@ void ImuThread::run(rt::Pulse* pulse) {
     status = feeder_.next(&sample, kImuWaitNs);
     if (status == hal::ImuStatus::kSample) {
       camera_->turning(std::hypot(sample.gyro_rad_s[0], sample.gyro_rad_s[1], sample.gyro_rad_s[2]));
+      if (tap_ != nullptr) tap_->reading(sample);
       if (!channels_->samples.try_push(sample)) ++feeder_.counters.dropped;
       if (!channels_->readings.try_push(sample)) channels_->readings_lost.fetch_add(1, std::memory_order_relaxed);
     }

@@ -11,10 +11,6 @@ namespace {
 /// frame 135 lost its pose there, with 5 none did.
 constexpr double kTurnSigmaRad = 5e-3;
 
-/// No sensor that flies measures more.
-constexpr double kMostRate = 100;    // [rad/s]
-constexpr double kMostForce = 1000;  // [m/s^2]
-
 constexpr std::array<vo::ScaleSource, hal::kAidKinds> kSources = {vo::ScaleSource::kRange, vo::ScaleSource::kBarometer,
                                                                   vo::ScaleSource::kSatellites};
 
@@ -88,10 +84,8 @@ InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeN
       shift_ns_(static_cast<rt::TimeNs>(std::llround(time_offset_s * 1e9))) {}
 
 void InertialPoses::take(const hal::ImuSample& s) {
+  if (!hal::possible(s)) return;
   const vo::ImuReading reading{s.t_ns, Eigen::Vector3d(s.gyro_rad_s.data()), Eigen::Vector3d(s.accel_m_s2.data())};
-  const bool possible =
-      reading.gyro_rad_s.cwiseAbs().maxCoeff() <= kMostRate && reading.accel_m_s2.cwiseAbs().maxCoeff() <= kMostForce;
-  if (!possible || !reading.gyro_rad_s.allFinite() || !reading.accel_m_s2.allFinite()) return;
   odometry_->add(reading);
   navigation_->add(reading);
 }
@@ -190,6 +184,7 @@ void InertialPoses::fill(const vo::NavigationPose& pose, FrameRecord* record) co
   record->inertial = sensor_;
   record->frame_id = pose.frame_id;
   record->trust = pose.trust;
+  record->motion = navigation_->motion();
   const Eigen::Quaterniond q = pose.T_nav_cam.quaternion();
   record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
   Eigen::Map<Eigen::Vector3d>(record->t_world_cam.data()) = pose.T_nav_cam.t;

@@ -62,6 +62,8 @@ class FrameTap {
   virtual void imu_silent(bool /*silent*/) {}
   /// The same thread and rules: a detection does not end or gives no mask, or masks come again.
   virtual void detector_failed(bool /*failed*/) {}
+  /// Real pace: a reading of the inertial sensor, as soon as it is there. That sensor's thread, the same rules.
+  virtual void reading(const hal::ImuSample& /*sample*/) {}
 };
 /// A camera that sends nothing for longer is called silent.
 constexpr rt::TimeNs kSilenceNs = 200 * rt::kNsPerMs;

@@ -21,7 +21,7 @@ ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::F
       options_(options),
       channels_(std::make_unique<Channels>(options.newest_frame)),
       feeder_(camera, pool, options_, channels_.get()),
-      imu_(options.imu, camera, options.onlooker, channels_.get()),
+      imu_(options.imu, camera, options.onlooker, options.tap, channels_.get()),
       tracker_(stage, pool, camera, options_, channels_.get()),
       mapper_(stage, channels_.get()),
       detector_(options.detector, pool, channels_.get()),

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <array>
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 
 #include "hal/rt/log_ring.h"
@@ -24,6 +26,15 @@ enum ImuFlag : std::uint8_t {
   kImuGyroSaturated = 2,   ///< an axis stands at the end of its range: the true rate is larger
   kImuAccelSaturated = 4,  ///< the same of the acceleration
 };
+
+/// Whether a sensor that flies can have measured that: numbers, and no larger than any that there is. No allocation.
+inline bool possible(const ImuSample& s) {
+  constexpr double kMostRate = 100, kMostForce = 1000;  // [rad/s, m/s^2]
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (!(std::abs(s.gyro_rad_s[i]) <= kMostRate) || !(std::abs(s.accel_m_s2[i]) <= kMostForce)) return false;
+  }
+  return true;
+}
 
 /// What became of one call of Imu::next.
 enum class ImuStatus : std::uint8_t {

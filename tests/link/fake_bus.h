@@ -81,9 +81,12 @@ inline PoseSample good_pose(rt::TimeNs t_capture_ns) {
 /// The link on a FakeBus; run() steps it every millisecond and gives it a pose every 1 / camera_hz, 5 ms old.
 class LinkHarness {
  public:
-  explicit LinkHarness(LinkConfig config = {}, std::string state = "", StoredState stored = {})
+  explicit LinkHarness(LinkConfig config = {}, std::string state = "", StoredState stored = {},
+                       bool between_pictures = false)
       : storage(std::move(state)) {
-    auto made = LinkNode::create(config, {&bus, nullptr, &storage, &poses, &health, &inputs, nullptr}, stored);
+    LinkPorts ports{&bus, nullptr, &storage, &poses, &health, &inputs, nullptr};
+    if (between_pictures) ports.readings = &readings;
+    auto made = LinkNode::create(config, ports, stored);
     EXPECT_TRUE(made.ok()) << (made.ok() ? "" : made.error().message);
     if (made.ok()) link = std::move(made).value();
     decoder = std::make_unique<dronecan::Reassembler>([] {
@@ -204,6 +207,7 @@ class LinkHarness {
   rt::TripleBuffer<PoseSample> poses;
   rt::TripleBuffer<SystemHealth> health;
   InputRing inputs;
+  ReadingRing readings;
   std::unique_ptr<LinkNode> link;
   rt::TimeNs now = 1000 * rt::kNsPerSecond;
   rt::TimeNs next_frame = now;

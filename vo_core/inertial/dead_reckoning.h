@@ -52,8 +52,8 @@ double DeadReckoning::update(const Eigen::Matrix<double, N, 1>& residual, const 
                              const Eigen::Matrix<double, N, N>& noise) {
   static_assert(N <= 4);
   const Eigen::Matrix<double, kSize, N> PHt = P.lazyProduct(H.transpose());
-  const Eigen::Matrix<double, N, N> S = H.lazyProduct(PHt) + noise;
-  const Eigen::Matrix<double, N, N> information = S.inverse();
+  const Eigen::Matrix<double, N, N> both = H.lazyProduct(PHt) + noise;
+  const Eigen::Matrix<double, N, N> information = both.inverse();
   const Eigen::Matrix<double, kSize, N> gain = PHt.lazyProduct(information);
   const Eigen::Matrix<double, N, 1> weighted = information.lazyProduct(residual);
   correct(gain.lazyProduct(residual));

@@ -73,10 +73,12 @@ bool NavigationFrame::expected(rt::TimeNs t_ns, Expected* out) const {
 }
 
 Vec3 NavigationFrame::rate_at(rt::TimeNs t_ns) const {
-  Preintegration around(state_.bias);
-  const rt::TimeNs t = t_ns + shift_ns_;
-  buffer_.integrate(t - 10 * rt::kNsPerMs, t, options_.inertial.imu, &around);
-  return around.dt_s() > 0 ? Vec3(so3_log(around.dR(state_.bias.gyro)) / around.dt_s()) : Vec3(Vec3::Zero());
+  return body_rate(buffer_, t_ns + shift_ns_, state_.bias, options_.inertial.imu);
+}
+
+Motion NavigationFrame::motion() const {
+  if (!known_ || blind_ns_ > 0) return {};
+  return motion_of(state_, {R_body_cam_, t_body_cam_}, t_state_ns_ + shift_ns_);
 }
 
 // The first frame is the first child itself; one after a break goes on where the last one ended.
@@ -194,16 +196,11 @@ NavigationPose NavigationFrame::tell_coasted(rt::TimeNs t_ns) const {
   }
   out.source = NavigationPose::Source::kCoasted;
   out.trust = self_check_.trust();
-  const Vec3 arm = state_.R * t_body_cam_;
-  out.T_nav_cam = {state_.R * R_body_cam_, state_.p + arm};
-  out.velocity_m_s = state_.v + state_.R * rate_at(t_ns).cross(t_body_cam_);
-  Eigen::Matrix<double, 6, D::kSize> J = Eigen::Matrix<double, 6, D::kSize>::Zero();
-  J.block<3, 3>(0, D::kPlace).setIdentity();
-  J.block<3, 3>(0, D::kAttitude) = -skew(arm);
-  J.block<3, 3>(3, D::kAttitude).setIdentity();
-  const Eigen::Matrix<double, 6, D::kSize> JP = J.lazyProduct(state_.P);
-  out.covariance = JP.lazyProduct(J.transpose());
-  out.velocity_covariance = state_.P.block<3, 3>(D::kSpeed, D::kSpeed);
+  const CameraMotion camera = camera_motion(state_, {R_body_cam_, t_body_cam_}, rate_at(t_ns));
+  out.T_nav_cam = camera.T_nav_cam;
+  out.velocity_m_s = camera.velocity_m_s;
+  out.covariance = camera.covariance;
+  out.velocity_covariance = camera.velocity_covariance;
   return out;
 }
 
@@ -247,9 +244,9 @@ void NavigationFrame::check(const NavigationPose& pose, rt::TimeNs t_ns) {
   if (whole && t_ns - t_check_ns_ < options_.check_ns) return;
   if (whole) {
     const double vision = options_.check_sigma_m + options_.check_share * (state_.p - check_from_).norm();
-    const Mat3 S = checked_.P.block<3, 3>(D::kPlace, D::kPlace) + vision * vision * Mat3::Identity();
+    const Mat3 both = checked_.P.block<3, 3>(D::kPlace, D::kPlace) + vision * vision * Mat3::Identity();
     const Vec3 off = state_.p - checked_.p;
-    if (self_check_.add(CheckedBy::kInertial, off.dot(S.inverse() * off), 3, t_ns)) {
+    if (self_check_.add(CheckedBy::kInertial, off.dot(both.inverse() * off), 3, t_ns)) {
       break_frame(self_check_.reason(), self_check_.value(), options_.self_check.lost);
     }
   }

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-#include "vo_core/inertial/dead_reckoning.h"
+#include "vo_core/inertial/carried_motion.h"
 #include "vo_core/inertial/self_check.h"
 
 namespace godwit::vo {
@@ -89,6 +89,9 @@ class NavigationFrame {
   };
   /// False: nobody knows.
   bool expected(rt::TimeNs t_ns, Expected* out) const;
+  /// What was told of the last picture as whoever goes on from it needs it: the body's motion and the covariance of all
+  /// of it. Not known where nothing was, or nobody measured since.
+  Motion motion() const;
   /// Somebody beside vision and inertial sensor knows lengths, too: by how much they are off from his, squared, in
   /// sigmas, one degree of freedom. Counts once in check_ns, before that picture's frame(); lowers trust, ends nothing.
   void contradicted(CheckedBy by, double squared, rt::TimeNs t_ns);
