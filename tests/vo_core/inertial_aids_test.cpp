@@ -103,5 +103,29 @@ TEST(InertialOdometry, WhatOthersPulledTheScaleToIsNotWhatTheyAreComparedWith) {
   EXPECT_EQ(honest.odometry_->aids_contradicted(), 0u);
 }
 
+// A word that is 18 % off and that the window's own opinion, not sure enough yet, does not leave out: both together
+// were told surer than either, and more so once nobody spoke any more.
+TEST(InertialOdometry, TwoThatContradictEachOtherAreTogetherNoSurerThanEachAlone) {
+  Flight f(0.1, 17);
+  Flown flown(&f);
+  InertialOdometryOptions options;
+  options.model = f.model_;
+  options.told_scale_sigma = 0;
+  options.aids.arm_m = 0;
+  options.aids.depth_share = 2e-4;  // as above
+  flown.odometry_ = std::make_unique<InertialOdometry>(f.mounting_, options);
+  int wrong = 0;
+  for (int k = 0; k < 240; ++k) {
+    if (k < 45) tell_place(f, k, 1.18, flown.odometry_.get());
+    const MetricPose pose = flown.frame(k);
+    if (k < 40) continue;
+    ASSERT_TRUE(pose.valid) << k;
+    const double off = std::abs(std::log(flown.odometry_->smoother().newest().scale() / f.scale_));
+    if (off > 0.08) ++wrong;
+    EXPECT_LT(off, 3 * pose.log_scale_sigma) << k << ": told " << pose.log_scale_sigma;
+  }
+  EXPECT_GT(wrong, 10) << "it was pulled away, or nothing was shown";
+}
+
 }  // namespace inertial_aids_test
 }  // namespace godwit::vo

@@ -110,6 +110,7 @@ void InertialOdometry::hear_aids(const VisualPose& pose) {
 
 ScaleHint InertialOdometry::hint() {
   const ScaleState& told = aids_.state();
+  dispute2_ = 1;
   if (!told.known()) return {};
   ScaleHint out{std::log(told.scale()), told.log_sigma()};
   if (!metric_) return out;
@@ -122,9 +123,10 @@ ScaleHint InertialOdometry::hint() {
   const double off = out.log_scale - own_log_scale;
   const double off2 = off * off / (out.sigma * out.sigma + 1 / own);
   aids_off2_ = aids_speak_ ? off2 : -1;
-  if (off2 <= options_.aid_gate * options_.aid_gate) return out;
-  ++aids_contradicted_;
-  return {};
+  const bool counts = off2 <= options_.aid_gate * options_.aid_gate;
+  if (!counts) ++aids_contradicted_;
+  dispute2_ = counts ? std::max(1.0, off2) : 1;
+  return counts ? out : ScaleHint{};
 }
 
 void InertialOdometry::begin_window(const VisualPose& pose) {
@@ -175,11 +177,6 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   while (metric_ && smoother_.size() >= options_.window) smoother_.drop_oldest();
   smoother_.add(node);
   return true;
-}
-
-bool InertialOdometry::refuse(const char* text, double value, double limit) {
-  refusal_ = {text, value, limit};
-  return false;
 }
 
 bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
@@ -375,7 +372,7 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   J.block<3, 1>(0, 0) = way;
   J.block<3, 2>(0, 1) = skew(way) * tilt_axes;
   J.block<3, 2>(3, 1) = -tilt_axes;
-  Mat3 shared = C.block<3, 3>(S::kScale, S::kScale);
+  Mat3 shared = doubt2() * C.block<3, 3>(S::kScale, S::kScale);
   const double scale_variance = options_.told_scale_sigma * options_.told_scale_sigma;
   shared(0, 0) += scale_variance;
   out.covariance = J * shared * J.transpose();
@@ -388,7 +385,7 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const double drift = options_.drift_share * s * way_;
   out.covariance.diagonal().head<3>().array() += place * place + drift * drift;
   out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
-  out.velocity_covariance = R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
+  out.velocity_covariance = doubt2() * R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
                             scale_variance * out.velocity_m_s * out.velocity_m_s.transpose();
   out.velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;
   out.log_scale_sigma = std::sqrt(shared(0, 0));

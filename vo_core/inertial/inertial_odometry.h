@@ -136,10 +136,20 @@ class InertialOdometry {
     counted_ = others;
     smoother_.hint_scale(others.log_scale, others.sigma);
   }
+  /// How many times larger than the window's own its variances are told: what contradicts itself is no surer together
+  /// than each of the two alone (Birge's ratio). The two are others' word and the window's own opinion of the scale,
+  /// and how the camera is screwed on and how the window would have it.
+  double doubt2() const {
+    const double turned = (smoother_.newest().mounting - prior_.mounting).norm() / prior_.mounting_sigma;
+    return std::max(dispute2_, turned * turned / 3);
+  }
   void begin_window(const VisualPose& pose);
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
-  bool refuse(const char* text, double value, double limit);
+  bool refuse(const char* text, double value, double limit) {
+    refusal_ = {text, value, limit};
+    return false;
+  }
   /// Biases and mounting are no further from what they were taken to be at first.
   bool plausible(double most_sigmas);
   bool convincing(const InertialSmoother::Report& report);
@@ -166,6 +176,9 @@ class InertialOdometry {
   rt::TimeNs t_aids_used_ns_ = 0;
   bool aids_speak_ = false;
   ScaleHint counted_;  ///< what the window's last solution took from them
+  /// And by how much that stands apart from what the window knows without it: squared, in sigmas; 1 where it is less,
+  /// or nothing was taken. As long as the word counts, long after who gave it fell silent.
+  double dispute2_ = 1;
   // The vertical of the last attempt to begin, if that was sure of it; else zero.
   Vec3 attempt_up_ = Vec3::Zero();
   double attempt_up_sigma_ = 0;
