@@ -42,8 +42,8 @@ bool constrained_gravity(const Mat3& H, const Vec3& b, double length, Vec3* g) {
   return g->allFinite() && std::abs(g->norm() - length) < 1e-3 * length;
 }
 
-/// At most ten unknowns, gravity the last three. The sizes are known at run time alone: Eigen's decompositions of three sizes
-/// took the compiler half a minute.
+/// At most ten unknowns, gravity the last three. The sizes are known at run time alone: Eigen's decompositions of three
+/// sizes took the compiler half a minute.
 constexpr int kMostUnknowns = 10;
 using Unknowns = Eigen::Matrix<double, kMostUnknowns, 1>;
 using Normal = Eigen::Matrix<double, kMostUnknowns, kMostUnknowns>;
