@@ -1,4 +1,7 @@
 // Writes a flight that pyulog_test.py knows: write_flight FOLDER
+#include <chrono>
+#include <thread>
+
 #include "firmware_app/output/flight_log.h"
 
 int main(int count, char** arguments) {
@@ -9,6 +12,8 @@ int main(int count, char** arguments) {
   options.info = {{"ver_sw", "1.2.3"}, {"version", "1.2"}, {"configuration", "camera.source = \"none\""}};
   options.parameters = {{"camera.fps", 30}, {"tracker.gain", 0.25}};
   app::FlightLog log(options);
+  // The log's own thread looks at the machine once a second, first of all: this flight may be over before it begins.
+  while (log.report().written_bytes == 0) std::this_thread::sleep_for(std::chrono::milliseconds(10));
   for (std::uint32_t i = 0; i < 30; ++i) {
     app::FrameRecord r;
     r.sequence = i;
