@@ -174,6 +174,7 @@ int main(int argc, char** argv) {
   const int slot = pool->acquire(), looked_at = pool->acquire();
   rt::FrameMeta meta, looked_at_meta;
   std::vector<std::unique_ptr<app::DynamicMasks>> masks;
+  masks.reserve(holds.size());
   for (const float hold : holds) masks.push_back(open(pool.get(), model, score, hold));
   std::vector<Sums> sums(masks.size());
   const auto fill = [&](const cv::Mat& bgr, int into) {
