@@ -106,7 +106,7 @@ void measures(Imu* imu, const char* name, double accel_unit, double gyro_unit) {
   set("value", "100,-200,4096,0,1000,-2000,3000");
   take(imu, 20, 10);
   const Seen s = take(imu, 400, 60);
-  const auto near = [](double a, double b, double unit) { return std::abs(a - b) <= 6 * unit; };
+  const auto near = [](double a, double b, double unit) { return std::abs(a - b) < 4.5 * unit; };  // noise: -3 to 4
   // Nothing is missing that is not flagged, and even a starved machine has most.
   check(
       s.samples == 400 && s.faults <= s.gaps && s.gaps <= 20 && s.not_later == 0 && std::abs(s.mean_step_ms - 5) < 0.25,
@@ -178,7 +178,10 @@ void iio() {
   const auto imu = IioImu::open(libiio_port("mpu6000", 200, [](const std::string&) {}), nullptr, {});
   check(imu->trouble().empty(), "an MPU-6000 over IIO runs: " + imu->trouble());
   check(std::abs(imu->rate_hz() - 200) < 1, "its rate is set: " + std::to_string(imu->rate_hz()) + " Hz");
-  measures(imu.get(), "IIO", 2 * kGravity / 32768, 2000 * kDegree / 32768);
+  // The kernel's driver rounds its scales to whole micro- and nanounits: 2 g over 32768 is 598 um/s2 to it, and 1 g
+  // then four units less. Beside the chip's noise of -3 to 4 units that was beyond what measures() grants, one time in
+  // eight.
+  measures(imu.get(), "IIO", 598e-6, 1064724e-9);
   lies(imu.get());
   broken(
       imu.get(), "a driver without samples", "IMU", [] { set("mute", "Y"); }, [] { set("mute", "N"); });
