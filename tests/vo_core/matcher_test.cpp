@@ -157,6 +157,20 @@ TEST(Matcher, ACoarserLevelFindsWhatMotionBlurTookFromTheFineOne) {
   EXPECT_FALSE(match_direct(v.camera, {&v.ref, &f, v.distance(f)}, SE3(), v.cur, f.px, 3, 4).found) << "above the top";
 }
 
+TEST(Matcher, APlaceThatIsNotFiniteHasNoPatch) {
+  const Views v;
+  KeyframeFeature f = v.feature(150, 110);
+  const double distance = v.distance(f);
+  for (const float wrong : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 3e38f}) {
+    for (const Vec2f& px : {Vec2f(wrong, 110), Vec2f(150, wrong), Vec2f(wrong, wrong)}) {
+      f.px = px;
+      ReferencePatch patch;
+      EXPECT_FALSE(warp_patch({&v.ref, &f, distance}, Eigen::Matrix2f::Identity(), 0, &patch)) << px.transpose();
+      EXPECT_FALSE(match_direct(v.camera, {&v.ref, &f, distance}, v.T_cur, v.cur, Vec2f(150, 110), 3).found);
+    }
+  }
+}
+
 TEST(Matcher, TriangulationRefusesParallelRays) {
   double depth = 0;
   SE3 T;

@@ -150,9 +150,10 @@ bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int
   const float e = static_cast<float>(kPatchHalf + 1);
   const float reach_x = (std::abs(A(0, 0)) + std::abs(A(0, 1))) * e;
   const float reach_y = (std::abs(A(1, 0)) + std::abs(A(1, 1))) * e;
-  if (centre.x() - reach_x < 0.0f || centre.y() - reach_y < 0.0f ||
-      centre.x() + reach_x >= static_cast<float>(image.width - 1) ||
-      centre.y() + reach_y >= static_cast<float>(image.height - 1))
+  // What is not finite fails each comparison; the pixels are gathered without a further look.
+  if (!(centre.x() - reach_x >= 0.0f && centre.y() - reach_y >= 0.0f &&
+        centre.x() + reach_x < static_cast<float>(image.width - 1) &&
+        centre.y() + reach_y < static_cast<float>(image.height - 1)))
     return false;
   const RowTag df;
   constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
