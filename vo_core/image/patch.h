@@ -1,8 +1,10 @@
 // Square picture patches: bilinear sampling with SIMD. Header-only, inlined into the stages that need it.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <hwy/highway.h>
 
 #include "hal/rt/image.h"
@@ -50,11 +52,18 @@ inline hn::Vec<RowTag> interpolate_lanes(const rt::ImageView& im, hn::Vec<RowTag
   const hn::Rebind<std::int32_t, RowTag> di32;
   const auto xi = hn::ConvertTo(di32, x), yi = hn::ConvertTo(di32, y);
   const auto fx = hn::Sub(x, hn::ConvertTo(df, xi)), fy = hn::Sub(y, hn::ConvertTo(df, yi));
-  // Four bytes from each pixel on, of which two count; image.h promises that they can be read.
-  const auto at = hn::Add(hn::Mul(yi, hn::Set(di32, im.stride)), xi);
-  const auto* const data = reinterpret_cast<const std::int32_t*>(im.data);
-  const auto top = hn::GatherOffset(di32, data, at);
-  const auto bottom = hn::GatherOffset(di32, data, hn::Add(at, hn::Set(di32, im.stride)));
+  // Four bytes from each pixel on, of which two count; image.h promises that they can be read. Read one by one: a
+  // gather is no faster (godwit-yardstick), and QEMU 7.2 takes another register for ymm4 where that holds a gather's
+  // offsets.
+  constexpr std::size_t kLanes = hn::MaxLanes(df);
+  alignas(32) std::array<std::int32_t, kLanes> at, above_px, below_px;
+  hn::Store(hn::Add(hn::Mul(yi, hn::Set(di32, im.stride)), xi), di32, at.data());
+  for (std::size_t i = 0; i < kLanes; ++i) {
+    const std::uint8_t* const p = im.data + at[i];
+    std::memcpy(&above_px[i], p, sizeof above_px[i]);
+    std::memcpy(&below_px[i], p + im.stride, sizeof below_px[i]);
+  }
+  const auto top = hn::Load(di32, above_px.data()), bottom = hn::Load(di32, below_px.data());
   const auto byte = hn::Set(di32, 0xff);
   const auto left = [&](auto four) { return hn::ConvertTo(df, hn::And(four, byte)); };
   const auto right = [&](auto four) { return hn::ConvertTo(df, hn::And(hn::ShiftRight<8>(four), byte)); };
