@@ -8,6 +8,8 @@
 #include <cstring>
 #include <deque>
 #include <functional>
+#include <linux/usb/video.h>
+#include <linux/uvcvideo.h>
 #include <linux/videodev2.h>
 #include <map>
 #include <memory>
@@ -47,6 +49,9 @@ struct FakeDevice {
   int stream_on_error = 0, request_error = 0;
   std::map<std::uint32_t, std::pair<std::string, std::int32_t>> controls;
   std::map<std::uint32_t, std::pair<std::string, std::int64_t>> controls64;
+  /// By unit and selector: a control's bytes. Whether it keeps what it had.
+  std::map<std::pair<int, int>, std::vector<std::uint8_t>> extension_units;
+  bool stubborn = false;
   godwit::hal::ClockOffsets offsets;
   std::vector<godwit::hal::VideoNode> listed;
 
@@ -210,6 +215,8 @@ class FakeVideo final : public godwit::hal::VideoSystem {
         known->second.second = all->controls[0].value64;
         return 0;
       }
+      case UVCIOC_CTRL_QUERY:
+        return d_.extension_units.empty() ? fail(ENOTTY) : ask_unit(*static_cast<uvc_xu_control_query*>(argument));
       case VIDIOC_REQBUFS:
         return d_.request_error != 0 ? fail(d_.request_error) : 0;
       case VIDIOC_QUERYBUF: {
@@ -239,6 +246,23 @@ class FakeVideo final : public godwit::hal::VideoSystem {
 
  private:
   static int fail(int error) { return errno = error, -1; }
+
+  int ask_unit(const uvc_xu_control_query& q) {
+    const auto known = d_.extension_units.find({q.unit, q.selector});
+    if (known == d_.extension_units.end()) return fail(ENOENT);
+    std::vector<std::uint8_t>& bytes = known->second;
+    if (q.query == UVC_GET_LEN) {
+      if (q.size != 2) return fail(ENOBUFS);
+      q.data[0] = static_cast<std::uint8_t>(bytes.size());
+      q.data[1] = 0;
+      return 0;
+    }
+    if (q.size != bytes.size()) return fail(ENOBUFS);
+    if (q.query == UVC_GET_CUR) return std::copy(bytes.begin(), bytes.end(), q.data), 0;
+    if (q.query != UVC_SET_CUR) return fail(EINVAL);
+    if (!d_.stubborn) bytes.assign(q.data, q.data + q.size);
+    return 0;
+  }
 
   int set_format(v4l2_pix_format* f) {
     if (d_.width != 0) f->width = d_.width;

@@ -83,6 +83,33 @@ TEST_F(V4l2CameraTest, WrongSizesFormatsAndRefusalsAreToldInWords) {
   refused("has no control emitter");
 }
 
+TEST_F(V4l2CameraTest, AControlOfAVendorsOwnIsSetInItsExtensionUnit) {
+  device_.extension_units = {{{3, 2}, {1}}, {{3, 4}, {150, 0}}, {{3, 9}, std::vector<std::uint8_t>(24)}};
+  settings_.controls = {{"uvc:3:2", 0}, {"uvc:3:4", 0x168}};
+  open();
+  EXPECT_EQ(shoot(), CameraStatus::kFrame) << told_.all;
+  EXPECT_EQ((device_.extension_units[{3, 2}]), std::vector<std::uint8_t>({0}));
+  EXPECT_EQ((device_.extension_units[{3, 4}]), std::vector<std::uint8_t>({0x68, 0x01}));
+  const auto refused = [&](const char* name, std::int64_t value, const std::string& words) {
+    told_.all.clear();
+    settings_.controls = {{name, value}};
+    open();
+    EXPECT_TRUE(told_.has(words)) << name << ": " << words << " is missing in: " << told_.all;
+    EXPECT_EQ(next(), CameraStatus::kTimeout);
+  };
+  refused("uvc:4:2", 0, "no such extension unit");
+  refused("uvc:3:2", 256, "more than its 1 bytes hold");
+  refused("uvc:3:2", -1, "more than its 1 bytes hold");
+  refused("uvc:3:9", 0, "it has 24 bytes, not 1 to 8");
+  for (const char* name : {"uvc:", "uvc:3", "uvc:3:2:1", "uvc:3:2x", "uvc:300:2", "uvc:-3:2"}) {
+    refused(name, 0, "UNIT:SELECTOR is allowed");
+  }
+  device_.stubborn = true;
+  refused("uvc:3:2", 1, "the device did not take it");
+  device_.extension_units.clear();
+  refused("uvc:3:2", 0, "no UVC device");
+}
+
 TEST_F(V4l2CameraTest, ADeviceThatGoesComesBack) {
   open();
   ASSERT_EQ(shoot(), CameraStatus::kFrame);

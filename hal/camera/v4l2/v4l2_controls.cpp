@@ -1,10 +1,14 @@
 #include "hal/camera/v4l2/v4l2_controls.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cerrno>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <linux/usb/video.h>
+#include <linux/uvcvideo.h>
 #include <linux/videodev2.h>
 
 namespace godwit::hal {
@@ -100,8 +104,52 @@ bool V4l2Controls::set(const V4l2Control& control, std::int64_t value) const {
   return call(VIDIOC_S_CTRL, &c);
 }
 
+bool V4l2Controls::ask_unit(std::uint8_t unit, std::uint8_t selector, std::uint8_t request,
+                            std::span<std::uint8_t> bytes) const {
+  uvc_xu_control_query q{};
+  q.unit = unit;
+  q.selector = selector;
+  q.query = request;
+  q.size = static_cast<std::uint16_t>(bytes.size());
+  q.data = bytes.data();
+  return call(UVCIOC_CTRL_QUERY, &q);
+}
+
+rt::Result<void> V4l2Controls::set_in_unit(const std::string& name, std::int64_t value) const {
+  const auto refused = [&](const std::string& why) {
+    return rt::Error{path_ + ": control " + name + " = " + std::to_string(value) + ": " + why};
+  };
+  unsigned unit = 0, selector = 0;
+  char more = 0;
+  if (std::sscanf(name.c_str(), "uvc:%3u:%3u%c", &unit, &selector, &more) != 2 || unit > 255 || selector > 255) {
+    return refused("uvc:UNIT:SELECTOR is allowed, each 0 to 255");
+  }
+  const auto u = static_cast<std::uint8_t>(unit), s = static_cast<std::uint8_t>(selector);
+  std::array<std::uint8_t, 2> length{};
+  if (!ask_unit(u, s, UVC_GET_LEN, length)) {
+    return refused(errno == ENOENT   ? "the device has no such extension unit, or its node does not lead to it"
+                   : errno == ENOTTY ? "this is no UVC device"
+                                     : std::strerror(errno));
+  }
+  const std::size_t size = length[0] + 256u * length[1];
+  std::array<std::uint8_t, sizeof value> bytes{}, now{};
+  if (size == 0 || size > bytes.size()) return refused("it has " + std::to_string(size) + " bytes, not 1 to 8");
+  if (size < bytes.size() && (value < 0 || value >> (8 * size) != 0)) {
+    return refused("more than its " + std::to_string(size) + " bytes hold");
+  }
+  for (std::size_t i = 0; i < size; ++i) bytes[i] = static_cast<std::uint8_t>(value >> (8 * i));
+  if (!ask_unit(u, s, UVC_SET_CUR, std::span(bytes).first(size))) return refused(std::strerror(errno));
+  if (!ask_unit(u, s, UVC_GET_CUR, std::span(now).first(size))) return refused(std::strerror(errno));
+  if (now != bytes) return refused("the device did not take it");
+  return {};
+}
+
 rt::Result<void> V4l2Controls::set_all(const std::vector<std::pair<std::string, std::int64_t>>& wanted) const {
   for (const auto& [name, value] : wanted) {
+    if (name.compare(0, 4, "uvc:") == 0) {
+      if (const auto done = set_in_unit(name, value); !done) return done.error();
+      continue;
+    }
     const auto control = find(name);
     if (!control) return control.error();
     if (!set(control.value(), value)) {

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -32,12 +33,15 @@ class V4l2Controls {
   std::optional<std::int64_t> get(const V4l2Control& control) const;
   /// False: refused, see errno.
   bool set(const V4l2Control& control, std::int64_t value) const;
-  /// Each by name. Error: which was refused and why.
+  /// Each by name, or as a control of a vendor's own in a UVC extension unit by "uvc:UNIT:SELECTOR" (UVC 1.5, 4.2.2.4),
+  /// little-endian in as many bytes as the device says, 8 at most, and read back. Error: which was refused and why.
   rt::Result<void> set_all(const std::vector<std::pair<std::string, std::int64_t>>& wanted) const;
   const std::string& path() const { return path_; }
 
  private:
   bool call(unsigned long request, void* argument) const { return system_->ioctl(fd_, request, argument) == 0; }
+  bool ask_unit(std::uint8_t unit, std::uint8_t selector, std::uint8_t request, std::span<std::uint8_t> bytes) const;
+  rt::Result<void> set_in_unit(const std::string& name, std::int64_t value) const;
 
   VideoSystem* system_;
   int fd_;
