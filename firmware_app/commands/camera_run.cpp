@@ -178,9 +178,16 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
     if (!read) return refuse("--as-flown: " + read.error().message);
     flown.emplace(std::move(read).value());
   }
-  auto assembled = assemble(config, calibration,
-                            {plan.calibration_name, plan.sequential, plan.masks, view ? &*view : nullptr, plan.inertial,
-                             plan.gyro_helps, !plan.events.empty()});
+  AssemblyPlan parts_plan;
+  parts_plan.calibration_name = plan.calibration_name;
+  parts_plan.sequential = plan.sequential;
+  parts_plan.masks = plan.masks;
+  parts_plan.view = view ? &*view : nullptr;
+  parts_plan.inertial = plan.inertial;
+  parts_plan.imu_errors = plan.imu_errors;
+  parts_plan.gyro_helps = plan.gyro_helps;
+  parts_plan.onlooker = !plan.events.empty();
+  auto assembled = assemble(config, calibration, parts_plan);
   if (!assembled) return refuse(assembled.error().message);
   const Assembly& parts = assembled.value();
   if (parts.dynamic != nullptr && !parts.dynamic->warning().empty()) say("warning: " + parts.dynamic->warning());

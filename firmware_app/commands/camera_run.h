@@ -11,6 +11,7 @@
 #include "hal/aid/aid.h"
 #include "hal/camera/calibration.h"
 #include "hal/camera/camera.h"
+#include "hal/imu/error_model.h"
 #include "hal/imu/imu.h"
 
 namespace godwit::app {
@@ -28,6 +29,7 @@ struct CameraRunPlan {
   hal::Imu* imu = nullptr;         ///< read and watched beside the camera; null: none
   hal::AidSource* aids = nullptr;  ///< used with `inertial`; null: none
   bool inertial = false;           ///< and used: poses are metric and level
+  hal::ImuErrorModel imu_errors;   ///< as the sensor's source says them
   bool gyro_helps = true;          ///< vision, too; see OdometryOptions
   FrameSink* beside = nullptr;     ///< hears each record, too; null: nobody
   std::string view;                ///< folder for pictures of what was seen; empty: none

@@ -60,8 +60,11 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   hal::ReplayTime time;
   FlownCamera camera(*flight.value(), {a.run.start, a.run.frames, a.run.pace == "real", a.truth_masks, &time});
   std::unique_ptr<hal::ReplayImu> imu;
+  hal::ImuErrorModel imu_errors;
   if (a.run.imu != "off") {
-    imu = std::make_unique<hal::ReplayImu>(imu_record_of(*flight.value()), &time, a.run.pace == "real");
+    hal::ImuRecord record = imu_record_of(*flight.value());
+    imu_errors = record.errors;
+    imu = std::make_unique<hal::ReplayImu>(std::move(record), &time, a.run.pace == "real");
   }
   std::unique_ptr<hal::ReplayAids> aids;
   if (!a.run.aids.empty()) {
@@ -82,6 +85,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.imu = imu.get();
   plan.aids = aids.get();
   plan.inertial = a.run.imu == "on";
+  plan.imu_errors = imu_errors;
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
   plan.events = a.run.events;

@@ -263,6 +263,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   if (!camera) return refuse(camera.error().message);
   tell_cut_off(camera.value()->cut_off());
   std::unique_ptr<hal::ReplayImu> imu;
+  hal::ImuErrorModel imu_errors;
   std::vector<hal::ImuSample> readings;
   if (!a.write_calibration.empty() && a.imu == "off") {
     return refuse("--write-calibration: how the IMU turned must be known; add --imu on or --imu watch");
@@ -272,6 +273,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     auto record = hal::read_imu_record(sequence.value());
     if (!record) return refuse(record.error().message);
     tell_cut_off(record.value().cut_off);
+    imu_errors = record.value().errors;
     if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
   }
@@ -295,6 +297,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.imu = imu.get();
   plan.aids = aids.get();
   plan.inertial = a.imu == "on";
+  plan.imu_errors = imu_errors;
   plan.view = a.view;
   plan.view_every = a.view_every;
   plan.events = a.events;

@@ -85,8 +85,9 @@ struct Config {
   struct Imu {
     enum class Source { kNone, kMpu6000, kIio, kReplay, kSim };
     Source source = Source::kNone;
-    bool enabled = true;  ///< it is flown by where there is one: poses in metres, z up; false: it is only watched
-    double coast_s = 2;   ///< a pose comes from it alone for so long at most
+    bool enabled = true;      ///< it is flown by where there is one: poses in metres, z up; false: it is only watched
+    std::string calibration;  ///< Kalibr's imu.yaml: how the sensor errs; empty: as its source says, if it does
+    double coast_s = 2;       ///< a pose comes from it alone for so long at most
     bool flown_by() const { return enabled && source != Source::kNone; }
     std::string device = "/dev/spidev0.0";  ///< mpu6000: path; iio: name or id
     std::string accel_device;               ///< iio: where acceleration has a device of its own

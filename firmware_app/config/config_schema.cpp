@@ -55,6 +55,7 @@ void add_imu(Config* c, std::vector<Key>* to) {
                                       {"sim", Source::kSim}},
                                      &c->imu.source));
   to->push_back(keys::flag("imu.enabled", &c->imu.enabled));
+  to->push_back(keys::text("imu.calibration", kLongestPath, "a file", &c->imu.calibration));
   to->push_back(keys::number("imu.coast_s", 0, 10, "s", &c->imu.coast_s));
   to->push_back(keys::text("imu.device", kLongestPath, "a path or a name", &c->imu.device));
   to->push_back(keys::text("imu.accel_device", kLongestPath, "a name", &c->imu.accel_device));

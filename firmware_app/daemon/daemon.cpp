@@ -174,6 +174,9 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   // The networks run once here, so that the first picture in flight is not the slow one.
   AssemblyPlan plan;
   plan.inertial = config.imu.flown_by();
+  auto imu_errors = daemon_imu_errors(config, *camera);
+  if (!imu_errors) return give_up(imu_errors.error().message);
+  plan.imu_errors = imu_errors.value();
   const std::string events = events_folder(config);
   plan.onlooker = !events.empty();
   const std::unique_ptr<LivePicture> picture = live_picture(config, calibration.width, calibration.height);

@@ -10,6 +10,14 @@ bool imu_goes_with_camera(const Config& config) {
   return config.imu.source == Config::Imu::Source::kReplay || config.imu.source == Config::Imu::Source::kSim;
 }
 
+rt::Result<hal::ImuErrorModel> daemon_imu_errors(const Config& config, const DaemonCamera& camera) {
+  if (!imu_goes_with_camera(config)) return hal::ImuErrorModel{};
+  if (camera.flight() != nullptr) return imu_errors_of(camera.flight()->scenario());
+  auto errors = hal::read_imu_record_errors(config.camera.sequence);
+  if (!errors) return rt::Error{"imu.source: " + errors.error().message};
+  return errors;
+}
+
 rt::Result<std::unique_ptr<hal::Imu>> open_daemon_imu(const Config& config, const DaemonCamera& camera,
                                                       const std::function<void(const std::string&)>& say) {
   if (!imu_goes_with_camera(config)) return open_imu(config.imu, say);

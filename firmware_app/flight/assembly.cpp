@@ -82,6 +82,12 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
       return rt::Error{
           (plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") +
           std::string("the inertial sensor cannot be used without T_body_cam: where the camera sits on it")};
+    odometry.inertial_errors = plan.imu_errors;
+    if (!config.imu.calibration.empty()) {
+      const auto errors = hal::read_imu_error_model(config.imu.calibration);
+      if (!errors) return rt::Error{"imu.calibration: " + errors.error().message};
+      odometry.inertial_errors = errors.value();
+    }
     odometry.gyro_helps = plan.gyro_helps;
     odometry.inertial_time_offset_s = calibration.time_offset_s.value_or(0);
     odometry.coast_ns = static_cast<rt::TimeNs>(config.imu.coast_s * 1e9);

@@ -13,6 +13,7 @@
 #include "firmware_app/pipeline/pipeline.h"
 #include "firmware_app/pipeline/stage.h"
 #include "hal/camera/calibration.h"
+#include "hal/imu/error_model.h"
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/result.h"
 
@@ -20,13 +21,14 @@ namespace godwit::app {
 
 /// What a program wants beside its configuration.
 struct AssemblyPlan {
-  std::string calibration_name;  ///< for errors; empty: the reason stands alone
-  bool sequential = false;       ///< results of the mapper come pipeline.mapper_delay_frames later
-  MaskSource* masks = nullptr;   ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
-  FrameView* view = nullptr;     ///< may be null
-  bool inertial = false;         ///< the pipeline has an inertial sensor, and it is to be used
-  bool gyro_helps = true;        ///< vision, too; see OdometryOptions
-  bool onlooker = false;         ///< slots for one (PipelineOptions::onlooker)
+  std::string calibration_name;   ///< for errors; empty: the reason stands alone
+  bool sequential = false;        ///< results of the mapper come pipeline.mapper_delay_frames later
+  MaskSource* masks = nullptr;    ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
+  FrameView* view = nullptr;      ///< may be null
+  bool inertial = false;          ///< the pipeline has an inertial sensor, and it is to be used
+  hal::ImuErrorModel imu_errors;  ///< as the sensor's source says them; imu.calibration wins
+  bool gyro_helps = true;         ///< vision, too; see OdometryOptions
+  bool onlooker = false;          ///< slots for one (PipelineOptions::onlooker)
 };
 
 /// Destroyed from the last to the first: the pool outlives what points into it.

@@ -3,6 +3,8 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
+#include "firmware_app/pipeline/inertial_options.h"
+
 namespace godwit::app {
 namespace {
 
@@ -47,12 +49,6 @@ vo::CameraMounting mounting_of(const std::array<double, 16>& T) {
   return out;
 }
 
-vo::NavigationOptions navigation_options(rt::TimeNs coast_ns) {
-  vo::NavigationOptions out;
-  out.coast_ns = coast_ns;
-  return out;
-}
-
 /// What the smoother knows of the sensor goes with the pose, so that dead reckoning begins with it.
 vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::MetricPose& pose) {
   using S = vo::InertialState;
@@ -76,10 +72,11 @@ vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::Metri
 
 }  // namespace
 
-InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s)
-    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam))),
-      navigation_(
-          std::make_unique<vo::NavigationFrame>(mounting_of(T_body_cam).t_body_cam_m, navigation_options(coast_ns))),
+InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s,
+                             const hal::ImuErrorModel& errors)
+    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam), inertial_options(errors))),
+      navigation_(std::make_unique<vo::NavigationFrame>(mounting_of(T_body_cam).t_body_cam_m,
+                                                        navigation_options(errors, coast_ns))),
       coast_ns_(coast_ns),
       shift_ns_(static_cast<rt::TimeNs>(std::llround(time_offset_s * 1e9))) {}
 

@@ -7,6 +7,7 @@
 
 #include "firmware_app/pipeline/frame_record.h"
 #include "hal/aid/aid.h"
+#include "hal/imu/error_model.h"
 #include "hal/imu/imu.h"
 #include "vo_core/inertial/inertial_odometry.h"
 #include "vo_core/inertial/navigation_frame.h"
@@ -19,8 +20,9 @@ class InertialPoses {
  public:
   /// Row by row: camera points into the body, whose axes the sensor's readings have.
   /// coast_ns: how long a pose may come from that sensor alone. time_offset_s: what to add to the camera's times to
-  /// have that sensor's, as calibrated.
-  InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s = 0);
+  /// have that sensor's, as calibrated. errors: the sensor's, as far as they are known.
+  InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s = 0,
+                const hal::ImuErrorModel& errors = {});
 
   void take(const hal::ImuSample& sample);
   void take(const hal::AidSample& sample);

@@ -44,7 +44,7 @@ class OdometryStage final : public FrameStage {
         gyro_helps_(options.gyro_helps) {
     if (options.inertial_T_body_cam) {
       inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns,
-                                                  options.inertial_time_offset_s);
+                                                  options.inertial_time_offset_s, options.inertial_errors);
     }
   }
 

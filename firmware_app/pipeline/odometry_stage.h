@@ -9,6 +9,7 @@
 #include "firmware_app/pipeline/mask_source.h"
 #include "firmware_app/pipeline/stage.h"
 #include "hal/camera/calibration.h"
+#include "hal/imu/error_model.h"
 #include "hal/rt/result.h"
 #include "vo_core/geometry/camera_model.h"
 
@@ -25,7 +26,8 @@ struct OdometryOptions {
   /// Use the inertial sensor: poses are then metric and level, and only frames with such a pose count as tracked.
   /// Row by row; maps camera points into the body, whose axes the sensor's readings have.
   std::optional<std::array<double, 16>> inertial_T_body_cam;
-  double inertial_time_offset_s = 0;  ///< what to add to the camera's times to have that sensor's
+  double inertial_time_offset_s = 0;   ///< what to add to the camera's times to have that sensor's
+  hal::ImuErrorModel inertial_errors;  ///< of that sensor, as far as they are known
   /// The gyroscope's turns start the tracker's alignment. Not where the two are to be measured against each other.
   bool gyro_helps = true;
   rt::TimeNs coast_ns = 2 * rt::kNsPerSecond;  ///< how long a pose may come from the inertial sensor alone

@@ -122,9 +122,11 @@ TEST(Config, TheInertialSensorIsFlownByWhereThereIsOne) {
   };
   for (const auto& [camera, imu] : {std::pair("v4l2", "mpu6000"), std::pair("v4l2", "iio"),
                                     std::pair("replay", "replay"), std::pair("sim", "sim")}) {
-    const ConfigReport good = sensor(camera, std::string("source = \"") + imu + "\"\ncoast_s = 0.5\n");
+    const ConfigReport good =
+        sensor(camera, std::string("source = \"") + imu + "\"\ncalibration = \"imu.yaml\"\ncoast_s = 0.5\n");
     ASSERT_TRUE(good.ok()) << good.mistakes[0];
     EXPECT_TRUE(good.config.imu.flown_by());
+    EXPECT_EQ(good.config.imu.calibration, "imu.yaml");
     EXPECT_EQ(good.config.imu.coast_s, 0.5);
   }
   EXPECT_FALSE(sensor("v4l2", "source = \"iio\"\nenabled = false\n").config.imu.flown_by());

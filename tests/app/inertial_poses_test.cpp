@@ -10,6 +10,7 @@
 #include <limits>
 #include <string>
 
+#include "firmware_app/pipeline/inertial_options.h"
 #include "tests/vo_core/inertial_flight.h"
 
 namespace godwit::app {
@@ -22,8 +23,9 @@ using vo::Vec3;
 /// A flight through vision's eyes, as the tracker tells of it, 20 pictures a second.
 class Flown {
  public:
-  explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond, double time_offset_s = 0)
-      : flight_(1.0, seed), poses_(mounting(), coast_ns, time_offset_s) {}
+  explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond, double time_offset_s = 0,
+                 const hal::ImuErrorModel& errors = {})
+      : flight_(1.0, seed), poses_(mounting(), coast_ns, time_offset_s, errors) {}
 
   FrameRecord frame(int k) {
     for (int i = 1; i <= 10; ++i) {
@@ -138,6 +140,37 @@ TEST(InertialPoses, PicturesAreTakenForAsLateAsTheCalibrationSays) {
     EXPECT_NEAR(r.inertial.time_offset_s, same.inertial.time_offset_s - kLateS, 1e-9);
   }
   EXPECT_GT(metric, 50);
+}
+
+TEST(InertialPoses, WhatASensorsFileSaysIsWhatIsCountedWith) {
+  const vo::InertialOdometryOptions unsaid = inertial_options({});
+  hal::ImuErrorModel errors;
+  errors.gyroscope_noise_density = 1e-4;
+  errors.accelerometer_random_walk = 1e-4;
+  errors.accelerometer_bias_sigma = 0.05;
+  const vo::InertialOdometryOptions said = inertial_options(errors);
+  EXPECT_DOUBLE_EQ(said.model.imu.gyro, 2e-4) << "in flight it is worse than on a table";
+  EXPECT_DOUBLE_EQ(said.model.imu.accel_walk, 1e-3);
+  EXPECT_DOUBLE_EQ(said.prior.accel_bias_sigma, 0.05);
+  EXPECT_DOUBLE_EQ(said.model.imu.accel, unsaid.model.imu.accel) << "nobody says that one";
+  EXPECT_DOUBLE_EQ(said.told_scale_sigma, unsaid.told_scale_sigma);
+  EXPECT_DOUBLE_EQ(navigation_options(errors, 7).inertial.imu.gyro, 2e-4);
+  EXPECT_EQ(navigation_options(errors, 7).coast_ns, 7);
+  // The better the sensor, the surer is its vertical told.
+  const auto told_tilt = [](const hal::ImuErrorModel& of) {
+    Flown flown(1, 2 * rt::kNsPerSecond, 0, of);
+    FrameRecord r;
+    for (int k = 0; k < 80; ++k) r = flown.frame(k);
+    EXPECT_TRUE(r.tracked);
+    return r.covariance[15] + r.covariance[18] + r.covariance[20];  // of the turn, all axes
+  };
+  errors = {};
+  errors.accelerometer_noise_density = 1e-3;
+  errors.accelerometer_random_walk = 1e-5;
+  hal::ImuErrorModel worse;
+  worse.accelerometer_noise_density = 2e-2;
+  worse.accelerometer_random_walk = 1e-2;
+  EXPECT_LT(told_tilt(errors), 0.25 * told_tilt(worse));
 }
 
 TEST(InertialPoses, ALossIsCoastedForTheTimeConfiguredAndThenNothingIsTold) {

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "hal/camera/replay/replay_camera.h"
+#include "hal/imu/replay/imu_record.h"
 #include "tests/sim/file_content.h"
 #include "tests/sim/test_scenario.h"
 #include "tests/support/temp_folder.h"
@@ -52,6 +53,12 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
   EXPECT_GT(lines(folder_ / "boxes.csv"), 4);
   EXPECT_EQ(lines(folder_ / "imu.txt"), 60 * 1000 + 2);
   EXPECT_EQ(lines(folder_ / "groundtruth.txt"), 60 * 200 + 2);
+  for (const char* layout : {"", "mav0"}) {
+    const auto errors = hal::read_imu_record_errors((folder_ / layout).string());
+    ASSERT_TRUE(errors.ok()) << errors.error().message;
+    EXPECT_EQ(errors.value().accelerometer_noise_density, flight_->scenario().imu.accel_noise) << layout;
+    EXPECT_EQ(errors.value().accelerometer_bias_sigma, flight_->scenario().imu.accel_bias) << layout;
+  }
   for (const char* layout : {"", "mav0"}) {
     auto camera = hal::ReplayCamera::open((folder_ / layout).string(), {});
     ASSERT_TRUE(camera.ok()) << camera.error().message;

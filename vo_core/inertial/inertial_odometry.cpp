@@ -241,8 +241,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   refusal_ = {};
   anchor_pose_ = pose.T_map_cam;
   anchor_covariance_ = pose.covariance;
-  anchor_map_ = last_camera_ = pose.T_map_cam.t;
-  way_ = 0;
+  anchor_map_ = pose.T_map_cam.t;
   // The heading: that of the last map, or the camera's first one along x.
   R_nav_map_ = so3_exp(Vec3::Zero());
   level();
@@ -287,7 +286,6 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
     if (metric_) {
       // The navigation frame's own view of the map stays: what was corrected, jumps.
-      last_camera_ += pose.moved_by;
       last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
     }
   }
@@ -350,8 +348,6 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   }
   told_ = true;
   last_map_ = pose.T_map_cam;
-  way_ += (pose.T_map_cam.t - last_camera_).norm();
-  last_camera_ = pose.T_map_cam.t;
 
   // Velocity of the newest moment, carried on to this frame.
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
@@ -382,9 +378,8 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const Mat6 grown = grown_since_anchor(pose);
   out.covariance += to_nav * grown * to_nav.transpose();
   const double place = std::hypot(options_.model.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
-  const double drift = options_.drift_share * s * way_;
-  out.covariance.diagonal().head<3>().array() += place * place + drift * drift;
-  out.covariance.diagonal().tail<3>().array() += options_.model.rotation_sigma * options_.model.rotation_sigma;
+  out.covariance.diagonal().head<3>().array() += place * place;
+  out.covariance.diagonal().tail<3>().array() += options_.told_turn_sigma_rad * options_.told_turn_sigma_rad;
   out.velocity_covariance = doubt2() * R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
                             scale_variance * out.velocity_m_s * out.velocity_m_s.transpose();
   out.velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;

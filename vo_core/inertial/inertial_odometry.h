@@ -60,10 +60,10 @@ struct InertialOdometryOptions {
   /// ground (scenario gnss-loss): 20 mrad in the half second in which the map began, 10 mrad 2 s later, 2 mrad 6 s
   /// later, told from the second second on: 0.5 mrad.
   rt::TimeNs stray_memory_ns = 5 * rt::kNsPerSecond;
-  double drift_share = 2e-4;  ///< of the way flown: how far vision drifts (street, simulated: 1.4e-4)
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
   double told_place_sigma_m = 4e-3;    ///< an axis
+  double told_turn_sigma_rad = 7e-4;   ///< an axis; a truth from sensors turns by 0.86 mrad itself while it stands
   double told_scale_sigma = 1e-2;      ///< of lengths: the accelerometer's scale, and what vision's drifts
   double told_speed_sigma_m_s = 6e-3;  ///< an axis
 };
@@ -205,8 +205,7 @@ class InertialOdometry {
   bool have_nav_ = false;
   bool told_ = false;  ///< last_map_ is of the present window
   VisualPose before_;  ///< the last picture's, corrections of the map taken in; without points
-  Vec3 last_camera_ = Vec3::Zero(), last_seen_camera_ = Vec3::Zero();
-  double way_ = 0;  ///< flown since the anchor [map units]
+  Vec3 last_seen_camera_ = Vec3::Zero();
 };
 
 }  // namespace godwit::vo

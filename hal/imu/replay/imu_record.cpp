@@ -68,6 +68,31 @@ rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char
   return record;
 }
 
+struct Layout {
+  fs::path readings, errors;
+  rt::Result<ImuRecord> (*parse)(std::string_view, const std::string&);
+};
+
+rt::Result<Layout> find_layout(const std::string& folder) {
+  const fs::path root(folder);
+  std::vector<Layout> layouts = {{root / "imu.txt", root / "imu.yaml", parse_tum_imu}};
+  for (const fs::path& imu0 : {root / "mav0" / "imu0", root / "imu0", root / ".." / "imu0"})
+    layouts.push_back({imu0 / "data.csv", imu0 / "sensor.yaml", parse_euroc_imu});
+  std::error_code ignored;
+  for (const Layout& layout : layouts) {
+    if (fs::is_regular_file(layout.readings, ignored)) return layout;
+  }
+  return rt::Error{folder + ": no IMU: neither imu.txt nor mav0/imu0/data.csv is there"};
+}
+
+rt::Result<ImuErrorModel> errors_of(const Layout& layout) {
+  std::error_code ignored;
+  if (!fs::is_regular_file(layout.errors, ignored)) return ImuErrorModel{};
+  const auto text = read_text_file(layout.errors);
+  if (!text) return text.error();
+  return parse_imu_error_model(text.value(), layout.errors);
+}
+
 }  // namespace
 
 rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& name) {
@@ -79,20 +104,22 @@ rt::Result<ImuRecord> parse_tum_imu(std::string_view text, const std::string& na
 }
 
 rt::Result<ImuRecord> read_imu_record(const std::string& folder) {
-  const fs::path root(folder);
-  std::error_code ignored;
-  if (fs::is_regular_file(root / "imu.txt", ignored)) {
-    const auto text = read_text_file(root / "imu.txt");
-    if (!text) return text.error();
-    return parse_tum_imu(text.value(), root / "imu.txt");
-  }
-  for (const fs::path& imu0 : {root / "mav0" / "imu0", root / "imu0", root / ".." / "imu0"}) {
-    if (!fs::is_regular_file(imu0 / "data.csv", ignored)) continue;
-    const auto text = read_text_file(imu0 / "data.csv");
-    if (!text) return text.error();
-    return parse_euroc_imu(text.value(), imu0 / "data.csv");
-  }
-  return rt::Error{folder + ": no IMU: neither imu.txt nor mav0/imu0/data.csv is there"};
+  const auto layout = find_layout(folder);
+  if (!layout) return layout.error();
+  const auto text = read_text_file(layout.value().readings);
+  if (!text) return text.error();
+  auto record = layout.value().parse(text.value(), layout.value().readings);
+  if (!record) return record;
+  auto errors = errors_of(layout.value());
+  if (!errors) return errors.error();
+  record.value().errors = errors.value();
+  return record;
+}
+
+rt::Result<ImuErrorModel> read_imu_record_errors(const std::string& folder) {
+  const auto layout = find_layout(folder);
+  if (!layout) return layout.error();
+  return errors_of(layout.value());
 }
 
 }  // namespace godwit::hal

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "hal/imu/error_model.h"
 #include "hal/imu/imu.h"
 #include "hal/rt/result.h"
 
@@ -15,6 +16,7 @@ struct ImuRecord {
   std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
   std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
   double rate_hz = 0;               ///< by the median of the steps; 0: a single sample
+  ImuErrorModel errors;             ///< as the recording says it
   std::string cut_off;              ///< where and how it breaks off in its last line; empty: it does not
 };
 
@@ -27,7 +29,10 @@ rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& 
 rt::Result<ImuRecord> parse_tum_imu(std::string_view text, const std::string& name);
 
 /// Reads what lies in a sequence's folder, in the layouts that cameras are replayed from: imu.txt; or mav0/imu0, imu0,
-/// or imu0 beside the folder. Error: none is there, or as above. Blocks.
+/// or imu0 beside the folder; with how the sensor errs, out of imu.yaml beside imu.txt or of imu0's sensor.yaml, where
+/// that is there. Error: no readings are there, or as above. Blocks.
 rt::Result<ImuRecord> read_imu_record(const std::string& folder);
+/// Of that how the sensor errs alone.
+rt::Result<ImuErrorModel> read_imu_record_errors(const std::string& folder);
 
 }  // namespace godwit::hal

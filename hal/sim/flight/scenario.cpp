@@ -158,6 +158,7 @@ void read_imu(Section s, ImuModel* m) {
   s.real("accel_bias", 0, 5, &m->accel_bias);
   s.real("gyro_range_rad_s", 1, 100, &m->gyro_range_rad_s);
   s.real("accel_range_m_s2", 15, 1000, &m->accel_range_m_s2);
+  s.real("noise_times", 0, 100, &m->noise_times);
   s.real("delay_ms", 0, 50, &m->delay_ms);
   s.real("clock_jitter_ms", 0, 20, &m->clock_jitter_ms);
   s.real("mounting_error_deg", 0, 20, &m->mounting_error_deg);

@@ -29,10 +29,7 @@ double measured(double value, double range, bool quantise) {
 }  // namespace
 
 ImuModel with_usual_faults(ImuModel model) {
-  model.gyro_noise *= 2;
-  model.accel_noise *= 2;
-  model.gyro_bias_walk *= 2;
-  model.accel_bias_walk *= 2;
+  model.noise_times = 2;
   model.delay_ms = 3;
   model.clock_jitter_ms = 0.5;
   model.mounting_error_deg = 1.5;
@@ -104,7 +101,7 @@ hal::ImuStatus SimImu::next(hal::ImuSample* sample, rt::TimeNs) {
     seen_accel = R_sensor_body_ * seen_accel;
   }
   // White noise of density n, sampled at rate f without a filter's correlation, has a standard deviation of n sqrt(f).
-  const double root = std::sqrt(model_.rate_hz), walk = std::sqrt(dt);
+  const double root = model_.noise_times * std::sqrt(model_.rate_hz), walk = model_.noise_times * std::sqrt(dt);
   sample->t_ns = told_time(t);
   for (int i = 0; i < 3; ++i) {
     if (index_ > 0) {

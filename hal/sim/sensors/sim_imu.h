@@ -26,6 +26,7 @@ struct ImuModel {
   bool quantise = true;  ///< 16 bits over the range
   // Faults, none by default. Which way they go is drawn by seed, from streams of their own: without them the samples
   // are the same to the bit.
+  double noise_times = 1;         ///< its noise and its biases' walks are so many times what is said above
   double delay_ms = 0;            ///< group delay of the sensor's low-pass (two equal poles); the time told is not late
   double clock_jitter_ms = 0;     ///< one sigma of the time told; times keep their order
   double mounting_error_deg = 0;  ///< the sensor is turned by so much about some axis
