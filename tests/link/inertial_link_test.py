@@ -4,8 +4,8 @@ autopilot: what it fuses is where the aircraft was. Run it inside a network name
 
     with_peers.sh --bus dronecan,pymavlink,numpy inertial_link_test.py build/release/firmware_app/godwit SEQUENCE|SCENARIO.toml
 
-SEQUENCE: a recording with imu.txt and groundtruth_body.txt, through a second of black pictures. SCENARIO.toml: a simulated
-minute, through one second of them, through three, after which the map is found again, and through seven, after which there
+SEQUENCE: a recording with imu.txt and groundtruth_body.txt, through a second of black pictures; and by godwitd as it is, also with
+poses between its pictures. SCENARIO.toml: a simulated minute, through one second of them, through three, after which the map is found again, and through seven, after which there
 is another map.
 """
 import argparse
@@ -205,16 +205,19 @@ def recording(program, source):
     check(len({m.reset_counter for m in fused}) == 1, "no reset was told: the frame is one")
 
 
-def daemon(program, source):
-    print("godwitd with [imu]")
+def stamps_of(source, name):
+    """The recording's own times of its pictures, whole microseconds."""
+    return [nanoseconds(line.split()[0]) // 1000 for line in open(os.path.join(source, name)) if line[0] != "#"]
+
+
+def fly_daemon(program, source, link=""):
+    """godwitd flies the recording by its sensor: the messages as the bus had them, its exit code, what it said."""
     godwitd = os.path.join(os.path.dirname(program), "godwitd")
-    truth = Truth(os.path.join(source, "groundtruth_body.txt"))
-    stamps = [nanoseconds(line.split()[0]) // 1000 for line in open(os.path.join(source, "rgb.txt")) if line[0] != "#"]
     with tempfile.TemporaryDirectory() as folder:
         config, said = os.path.join(folder, "c.toml"), os.path.join(folder, "said")
         open(config, "w").write('[camera]\nsource = "replay"\nsequence = "%s"\n[imu]\nsource = "replay"\n'
-                                '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n' %
-                                (os.path.abspath(source), folder))
+                                '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n%s' %
+                                (os.path.abspath(source), folder, link))
         sniffer, ap = Sniffer(0), EmulatedAutopilot()
         with open(said, "w") as log:
             process = subprocess.Popen([godwitd, "--config", config], stderr=log)
@@ -226,7 +229,16 @@ def daemon(program, source):
         ap.node.close()
         text = open(said).read()
     check(code == 0 and "IMU: flown by" in text, "flies the recording once, by its sensor, and ends with 0 (%s)" % code)
-    samples = sniffer.odometry()
+    if code != 0:
+        print(text)
+    return sniffer.odometry(), code, text
+
+
+def daemon(program, source):
+    print("godwitd with [imu]")
+    truth = Truth(os.path.join(source, "groundtruth_body.txt"))
+    stamps = stamps_of(source, "rgb.txt")
+    samples, code, text = fly_daemon(program, source)
     fused = [m for _, m in samples if m.quality >= QUALITY_MIN]
     check(len(fused) > 0.5 * len(stamps), "%d samples of %d pictures were fused" % (len(fused), len(stamps)))
     if code != 0 or len(fused) < 100:
@@ -244,6 +256,49 @@ def daemon(program, source):
           (f.tilt.mean(), f.tilt.max(), told.min(), told.max()))
     speed = math.sqrt((f.speed_error ** 2).sum(axis=1).mean())
     check(speed <= 0.05, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS" % speed)
+
+
+def offset_by_speed(samples, first_stamp, truth):
+    """What is between the truth's microseconds and the messages', by when how fast it flew: a grid of readings looks the
+    same from each of its lines. Whole steps of 5 ms from the first message at the first picture."""
+    t = np.array([m.time_usec for m in samples]) * 1e-6
+    told = np.array([math.sqrt(m.vx ** 2 + m.vy ** 2 + m.vz ** 2) for m in samples])
+    fast = np.linalg.norm(np.diff(truth.p, axis=0), axis=1) / np.diff(truth.t)
+    middle = (truth.t[1:] + truth.t[:-1]) / 2
+    at_first = t[0] - first_stamp * 1e-6
+    shifts = at_first - np.arange(-0.2, 4.0, 0.005)
+    off = [((np.interp(t - s, middle, fast) - told) ** 2).mean() for s in shifts]
+    return shifts[int(np.argmin(off))] * 1e6
+
+
+def between(program, source):
+    print("poses between pictures, 40 a second from 20 pictures a second")
+    truth = Truth(os.path.join(source, "groundtruth_body.txt"))
+    pictures = stamps_of(source, "rgb.txt")
+    samples, code, text = fly_daemon(program, source, "rate = 40\nbetween_pictures = true\n")
+    fused = [m for _, m in samples if m.quality >= QUALITY_MIN]
+    if code != 0 or len(fused) < 100:
+        return check(False, "poses were fused: %d\n%s" % (len(fused), text))
+    stamps = np.array([m.time_usec for m in fused])
+    check((np.diff(stamps) > 0).all(), "stamps only grow")
+    span = (stamps[-1] - stamps[0]) * 1e-6
+    check(len(fused) > 0.8 * 40 * span, "%d samples in %.1f s: %.1f a second, from %d pictures" %
+          (len(fused), span, len(fused) / span, len(pictures)))
+    f = Fused(fused, offset_by_speed(fused, pictures[0], truth), truth)
+    error = np.linalg.norm(f.error, axis=1)
+    check((error <= 3 * f.sigma).all(),
+          "the position is never off by more than three of the sigmas told: %.3f m at most, sigma %.3f to %.3f m" %
+          (error.max(), f.sigma.min(), f.sigma.max()))
+    scale, ate = scale_and_ate(f.place, f.true_place)
+    check(abs(scale - 1) <= 0.025 and ate <= 0.03, "the scale is off by %+.2f %%, the place by %.3f m" % (100 * (scale - 1), ate))
+    speed = math.sqrt((f.speed_error ** 2).sum(axis=1).mean())
+    check(speed <= 0.05, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS" % speed)
+    # A carried pose that the next picture corrects is a tooth: how far one message is off beside the one before.
+    teeth = np.linalg.norm(np.diff(f.error, axis=0), axis=1)
+    share = (teeth <= 3 * f.sigma[1:]).mean()
+    check(share == 1, "no tooth is longer than three of the sigmas told: %.1f mm RMS, %.1f at most" %
+          (1e3 * math.sqrt((teeth ** 2).mean()), 1e3 * teeth.max()))
+    check(len({m.reset_counter for m in fused}) == 1, "no reset was told")
 
 
 def autopilot(program, scenario, seed):
@@ -343,7 +398,8 @@ def main():
     parser.add_argument("--only", default="")
     args = parser.parse_args()
     if os.path.isdir(args.source):
-        cases = {"recording": lambda: recording(args.program, args.source), "daemon": lambda: daemon(args.program, args.source)}
+        cases = {"recording": lambda: recording(args.program, args.source), "daemon": lambda: daemon(args.program, args.source),
+                 "between": lambda: between(args.program, args.source)}
     else:
         cases = {"autopilot": lambda: autopilot(args.program, args.source, args.seed)}
     run_cases(cases, args.only)
