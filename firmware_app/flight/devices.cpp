@@ -7,6 +7,7 @@
 #include "hal/camera/device/fed_camera.h"
 #include "hal/camera/libcamera/libcamera_camera.h"
 #include "hal/camera/v4l2/v4l2_camera.h"
+#include "hal/imu/error_model.h"
 #include "hal/imu/iio/iio_imu.h"
 #include "hal/imu/mpu6000/mpu6000.h"
 #include "hal/record_file.h"
@@ -239,6 +240,10 @@ void check_devices(ConfigReport* report) {
     const std::size_t colon = message.find(": ");
     report->mistake(message.substr(0, colon), message.substr(colon + 2));
   };
+  if (!c.imu.calibration.empty()) {
+    const auto errors = hal::read_imu_error_model(c.imu.calibration);
+    if (!errors) report->mistake("imu.calibration", errors.error().message);
+  }
   if (c.camera.live()) {
     const auto calibration = read_calibration(c.camera);
     if (!calibration) mistake(calibration.error().message);

@@ -97,6 +97,11 @@ TEST(Devices, MistakesNameTheirKeyAndLine) {
     EXPECT_THAT(mistakes(good + "controls = \"" + wrong + "\"\n"), HasSubstr("c.toml:4: camera.controls: ")) << wrong;
   }
   EXPECT_EQ(mistakes("[imu]\nsource = \"mpu6000\"\n"), "");
+  test::write_file(folder / "imu.yaml", "accelerometer_noise_density: 2e-3\n");
+  EXPECT_EQ(mistakes("[imu]\ncalibration = \"" + (folder / "imu.yaml") + "\"\n"), "");
+  EXPECT_THAT(
+      mistakes("[imu]\ncalibration = \"" + (folder / "camera.yaml") + "\"\n"),
+      HasSubstr("c.toml:2: imu.calibration: " + (folder / "camera.yaml") + ": none of gyroscope_noise_density"));
   EXPECT_THAT(mistakes("[imu]\nsource = \"iio\"\naxes = \"x y\"\n"), HasSubstr("c.toml:3: imu.axes: "));
   EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\nrate_hz = 300\n"), HasSubstr("c.toml:3: imu.rate_hz: "));
   EXPECT_THAT(mistakes("[imu]\nsource = \"mpu6000\"\naccel_range_g = 3\n"), HasSubstr("imu.accel_range_g: 2, 4, 8"));
