@@ -16,7 +16,8 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import numpy as np  # noqa: E402
 from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, mavlink  # noqa: E402
-from inertial_link_test import QUALITY_MIN, Truth, by_speed, scale_and_ate  # noqa: E402
+from inertial_link_test import QUALITY_MIN  # noqa: E402
+from inertial_truth import Truth, by_speed, scale_and_ate  # noqa: E402
 
 PICTURES, FPS = 450, 30
 START_S = 1000.0  # a simulated flight's first picture
