@@ -17,6 +17,7 @@ from pose_consistency import CHI2_95, matrix_of_triangle, rotation, rotation_vec
 
 MOVING_M_S = 0.05  # truth faster than this moves
 BEGIN_S = 2.0      # the first so many seconds of metric poses are judged by themselves
+WINDOW_S = 10
 STILL_S = 2.0      # a rest at the end of at least this length is judged
 STANDS_M_S = 0.005  # truth slower than this stands: what it does then is its own wandering
 
@@ -128,6 +129,12 @@ def summary(judged, estimate, truth, t_begin):
         out['nees_position'], out['nees_attitude'] = float(place.mean()), float(attitude.mean())
         out['coverage_95_position'] = float((3 * place <= CHI2_95[3]).mean())
         out['coverage_95_attitude'] = float((3 * attitude <= CHI2_95[3]).mean())
+        # Of each ten seconds of the flight, so that many flights can be pooled: poses, and of place and attitude the sum of
+        # NEES and how many poses are inside 95 %.
+        number = (t[1:] - t_begin).astype(int) // WINDOW_S
+        out['windows'] = [[int(w), int((number == w).sum())] + [float(x) for n in (place, attitude)
+                           for x in (n[number == w].sum(), (3 * n[number == w] <= CHI2_95[3]).sum())]
+                          for w in np.unique(number)]
         told = 3 * np.sqrt(np.trace(C[:, :3, :3], axis1=1, axis2=2))
         out['beyond_3_sigma_share'] = float((np.linalg.norm(e, axis=1) > told).mean())
     out['scale_sigma'] = float(judged.scale_sigma[-1])

@@ -104,6 +104,11 @@ class Metric(unittest.TestCase):
         self.write_run(stated=0.25)
         r = self.judge()
         self.assertAlmostEqual(r['nees_position'], 4.0, delta=0.6)
+        # The sums over tens of seconds are those of the whole: whoever pools flights adds them up.
+        numbers, poses, place, place_in = np.array([w[:4] for w in r['windows']]).T
+        self.assertEqual(list(numbers), [0, 1])
+        self.assertAlmostEqual(place.sum() / poses.sum(), r['nees_position'])
+        self.assertAlmostEqual(place_in.sum() / poses.sum(), r['coverage_95_position'])
         self.assertAlmostEqual(r['nees_attitude'], 4.0, delta=0.6)
         self.assertGreater(r['beyond_3_sigma_share'], 0.02)
 
