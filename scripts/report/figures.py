@@ -11,11 +11,12 @@ class Row:
     key: str
     told: str
     kind: str = 'number'
+    instead: 'Row | None' = None  # shown where a run has no value for key
 
 
 HEAD = [
     Row('judged.false_sure', 'false-sure frames', 'count'),
-    Row('judged.ate', 'ATE', 'length'),
+    Row('judged.metric_ate_m', 'ATE in metres, not scaled', 'length', instead=Row('judged.ate_m', 'ATE, after a similarity', 'length')),
     Row('tracked_share', 'frames tracked', 'share'),
     Row('first_pose_after_frames', 'first pose after', 'frames'),
     Row('ms.median', 'a frame, median', 'ms'),
@@ -66,9 +67,7 @@ def value_of(key, run, judged):
         key = key.removeprefix('judged.')
         if key == 'false_sure':
             return int(judged.false_sure.sum())
-        where = judged.figures
-        # Of a metric run the one that was not scaled.
-        value = where.get('metric_ate_m' if 'metric_ate_m' in where else 'ate_m') if key == 'ate' else where.get(key)
+        value = judged.figures.get(key)
     else:
         value = where
         for part in key.split('.'):

@@ -68,6 +68,8 @@ def tiles(n, run, judged):
     out = []
     for i, row in enumerate(figures.HEAD):
         value = figures.value_of(row.key, run, judged)
+        if value is None and row.instead is not None:
+            row, value = row.instead, figures.value_of(row.instead.key, run, judged)
         look = 'first ' + ('bad' if value else 'good' if value == 0 else '') if i == 0 else ''
         out.append(f'<div class="tile {look}">{cell("b", row.key, n, value, row.kind)}<span>{escape(row.told)}</span></div>')
     return f'<div class="head">{"".join(out)}</div>'

@@ -13,11 +13,9 @@ QUALITY = 85
 
 
 def row_of(number, run):
-    """The line of frames.csv that a picture belongs to: they are numbered as they come, from the first that was flown or
-    of the sequence. None: there is none."""
-    row = number - (run.summary.get('start') or 0)
-    row = row if row >= 0 else number
-    return row if row < len(run.frames) else None
+    """The line of frames.csv that a picture belongs to: both are numbered from the first that was flown, wherever in the
+    sequence that was. None: there is none."""
+    return number if number < len(run.frames) else None
 
 
 def choose(files, run):

@@ -4,6 +4,7 @@ browser opens it without a word, and what is no whole run is refused with one th
   report_test.py GODWIT [unittest's arguments]
 """
 import base64
+import csv
 import html.parser
 import io
 import json
@@ -15,12 +16,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import types
 import unittest
 
 from PIL import Image
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 REPORT = ROOT / 'scripts' / 'godwit-report'
+sys.dont_write_bytecode = True
+sys.path.insert(0, str(ROOT / 'scripts'))
+from report import views  # noqa: E402
 GODWIT = pathlib.Path(sys.argv[1]).resolve()
 BROWSER = 'chromium-headless-shell'
 # The street is flown from its 70th picture on, where it moves, with and without threads.
@@ -194,6 +199,24 @@ class Report(unittest.TestCase):
         self.assertIn(f'data-shown="{n} of {n}"', done.stdout[-400:] + done.stdout[:6000])
         self.assertIn('data-wide="true"', done.stdout)
         self.assertEqual([line for line in done.stderr.splitlines() if 'CONSOLE' in line], [])
+
+    def test_an_ate_says_whether_it_was_scaled(self):
+        for run, words, other in (('metric', 'ATE in metres, not scaled', 'ATE, after a similarity'),
+                                  ('alone', 'ATE, after a similarity', 'ATE in metres, not scaled')):
+            done = report(self.folder / run, '--out', self.folder / 'scaled')
+            self.assertEqual(done.returncode, 0, done.stderr)
+            text = (self.folder / 'scaled/report.html').read_text()
+            tiles = text[text.index('class="tile'):text.index('id="figures"')]
+            self.assertIn(words, tiles)
+            self.assertNotIn(other, tiles)
+
+    def test_a_picture_of_a_run_that_began_later_has_the_words_of_its_own_frame(self):
+        # Pictures and lines are both numbered from the first that was flown, wherever in the sequence that was.
+        frames = [{'state': 'TRACKING', 'features': str(n), 'reason': ''} for n in range(121)]
+        run = types.SimpleNamespace(summary={'start': 75}, frames=frames, tracked=[True] * 121, t=[n / 30 for n in range(121)])
+        for number in (0, 60, 80, 120):
+            self.assertEqual(views.caption(run, number), f'{number / 30:.2f} s: TRACKING, {number} features')
+        self.assertEqual(views.caption(run, 121), 'picture 121')
 
     def test_without_a_truth_nothing_is_said_of_errors(self):
         run = self.folder / 'untrue'
