@@ -91,13 +91,21 @@ void CandidateGrid::keep_local_best() {
     if (a.weak != b.weak) return b.weak;
     return a.rank > b.rank || (a.rank == b.rank && &a < &b);
   };
-  for (Candidate& mine : candidates_) {
-    while_near(mine.px, reach, [&](const Candidate& other) {
-      if (!beats(other, mine)) return true;
-      const float spacing = min_spacing_px(mine.level, other.level);
-      mine.alive = (mine.px - other.px).squaredNorm() > spacing * spacing;
-      return mine.alive;
-    });
+  // True while nothing is known that rules `mine` out.
+  const auto stands = [&](Candidate* mine, const Candidate& other) {
+    if (!beats(other, *mine)) return true;
+    const float spacing = min_spacing_px(mine->level, other.level);
+    mine->alive = (mine->px - other.px).squaredNorm() > spacing * spacing;
+    return mine->alive;
+  };
+  const std::size_t cells = cell_begin_.size() - 1;
+  for (std::size_t cell = 0; cell < cells; ++cell) {
+    for (int i = cell_begin_[cell]; i < cell_begin_[cell + 1]; ++i) {
+      Candidate& mine = candidates_[i];
+      // Its own cell first: what else was found at the same corner lies there.
+      for (int k = cell_begin_[cell]; k < cell_begin_[cell + 1] && mine.alive; ++k) stands(&mine, candidates_[k]);
+      if (mine.alive) while_near(mine.px, reach, [&](const Candidate& other) { return stands(&mine, other); });
+    }
   }
 }
 
