@@ -85,27 +85,21 @@ void CandidateGrid::while_near(const Vec2f& px, float radius, F&& f) {
 }
 
 void CandidateGrid::keep_local_best() {
-  const float reach = min_spacing_px(levels_ - 1, levels_ - 1);
-  // Of equal ranks the one that comes first stays. A candidate does not beat itself.
+  // Of equal ranks the one that comes first stays.
   const auto beats = [](const Candidate& a, const Candidate& b) {
     if (a.weak != b.weak) return b.weak;
     return a.rank > b.rank || (a.rank == b.rank && &a < &b);
   };
-  // True while nothing is known that rules `mine` out.
-  const auto stands = [&](Candidate* mine, const Candidate& other) {
-    if (!beats(other, *mine)) return true;
-    const float spacing = min_spacing_px(mine->level, other.level);
-    mine->alive = (mine->px - other.px).squaredNorm() > spacing * spacing;
-    return mine->alive;
-  };
-  const std::size_t cells = cell_begin_.size() - 1;
-  for (std::size_t cell = 0; cell < cells; ++cell) {
-    for (int i = cell_begin_[cell]; i < cell_begin_[cell + 1]; ++i) {
-      Candidate& mine = candidates_[i];
-      // Its own cell first: what else was found at the same corner lies there.
-      for (int k = cell_begin_[cell]; k < cell_begin_[cell + 1] && mine.alive; ++k) stands(&mine, candidates_[k]);
-      if (mine.alive) while_near(mine.px, reach, [&](const Candidate& other) { return stands(&mine, other); });
-    }
+  // Each pair is looked at from the coarser one, whose spacing counts: most are fine, and have few so near.
+  for (Candidate& mine : candidates_) {
+    const float spacing = min_spacing_px(mine.level, mine.level);
+    // A coarser level's pixel lies in the cell of its middle, half a level-0 pixel further on.
+    while_near(mine.px, spacing + 0.5f, [&](Candidate& other) {
+      if ((mine.px - other.px).squaredNorm() > spacing * spacing || other.level > mine.level || &other == &mine)
+        return true;
+      (beats(other, mine) ? mine : other).alive = false;
+      return true;
+    });
   }
 }
 
