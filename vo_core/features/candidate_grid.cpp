@@ -85,18 +85,20 @@ void CandidateGrid::while_near(const Vec2f& px, float radius, F&& f) {
 }
 
 void CandidateGrid::keep_local_best() {
-  const float reach = min_spacing_px(levels_ - 1, levels_ - 1);
-  // Of equal ranks the one that comes first stays. A candidate does not beat itself.
+  // Of equal ranks the one that comes first stays.
   const auto beats = [](const Candidate& a, const Candidate& b) {
     if (a.weak != b.weak) return b.weak;
     return a.rank > b.rank || (a.rank == b.rank && &a < &b);
   };
+  // Each pair is looked at from the coarser one, whose spacing counts: most are fine, and have few so near.
   for (Candidate& mine : candidates_) {
-    while_near(mine.px, reach, [&](const Candidate& other) {
-      if (!beats(other, mine)) return true;
-      const float spacing = min_spacing_px(mine.level, other.level);
-      mine.alive = (mine.px - other.px).squaredNorm() > spacing * spacing;
-      return mine.alive;
+    const float spacing = min_spacing_px(mine.level, mine.level);
+    // A coarser level's pixel lies in the cell of its middle, half a level-0 pixel further on.
+    while_near(mine.px, spacing + 0.5f, [&](Candidate& other) {
+      if ((mine.px - other.px).squaredNorm() > spacing * spacing || other.level > mine.level || &other == &mine)
+        return true;
+      (beats(other, mine) ? mine : other).alive = false;
+      return true;
     });
   }
 }

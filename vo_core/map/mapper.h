@@ -86,7 +86,10 @@ class Mapper {
   bool place_in_map(const MapperMessage& m, SE3* T_cam_world) const;
   void handle_late_mask(const MapperMessage& m);
   void update_seeds(const MapperMessage& m, const SE3& T_cam_world);
-  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world);
+  /// The seed's point, at its mean depth, lies in the picture and beside the mask.
+  bool in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_host) const;
+  /// Searches a seed that is in view.
+  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host);
   rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);
   void create_seeds(int place, const MapperMessage& m);
   bool seed_to_point(Seed* seed);

@@ -68,6 +68,9 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
   }
   std::sort(near.begin(), near.begin() + near_count);
   near_count = std::min(near_count, options_.seed_keyframes);
+  std::array<SE3, kMaxKeyframes> T_near_kf;
+  const SE3 T_world_kf = kf.T_kf_world.inverse();
+  for (int k = 0; k < near_count; ++k) T_near_kf[k] = map_.keyframe(near[k].second).T_kf_world * T_world_kf;
 
   for (int i = 0; i < n; ++i) {
     // The oldest seed gives way when all places are taken.
@@ -87,20 +90,22 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
-      update_seed(seed, other.pyramid, masks_[near[k].second], other.T_kf_world);
+      const CoarseMask& mask = masks_[near[k].second];
+      if (in_view(*seed, mask, T_near_kf[k])) update_seed(seed, other.pyramid, mask, T_near_kf[k]);
     }
   }
 }
 
-void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cam_world) {
-  const Keyframe& host = map_.keyframe(seed->place);
-  const SE3 T_cur_host = T_cam_world * host.T_kf_world.inverse();
-  DepthEstimate& e = seed->estimate;
-  // In view at its mean depth?
+bool Mapper::in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_host) const {
   Vec2 px;
-  if (!camera_.project(T_cur_host * (seed->feature.bearing / e.inv_depth), &px) || !camera_.in_image(px, 8.0)) return;
+  if (!camera_.project(T_cur_host * (seed.feature.bearing / seed.estimate.inv_depth), &px)) return false;
   // Behind something that moves: neither hit nor miss.
-  if (mask.masked(px.cast<float>())) return;
+  return camera_.in_image(px, 8.0) && !mask.masked(px.cast<float>());
+}
+
+void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host) {
+  const Keyframe& host = map_.keyframe(seed->place);
+  DepthEstimate& e = seed->estimate;
   const double sigma = std::sqrt(e.variance);
   const double inv_max = e.inv_depth + 2.0 * sigma;
   const double inv_min = std::max(e.inv_depth - 2.0 * sigma, 1e-4);
@@ -151,16 +156,28 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
 }
 
 void Mapper::update_seeds(const MapperMessage& m, const SE3& T_cam_world) {
-  int done = 0;
+  std::array<SE3, kMaxKeyframes> T_cur_kf;
+  for (int k = 0; k < kMaxKeyframes; ++k)
+    if (map_.keyframe(k).id != 0) T_cur_kf[k] = T_cam_world * map_.keyframe(k).T_kf_world.inverse();
+  std::array<std::int16_t, kMaxSeeds> chosen;
+  int count = 0;
   for (int i = 0; i < kMaxSeeds; ++i) {
     // Newest first.
-    Seed& s = (*seeds_)[(next_seed_ - 1 - i + 2 * kMaxSeeds) % kMaxSeeds];
+    const int place = (next_seed_ - 1 - i + 2 * kMaxSeeds) % kMaxSeeds;
+    const Seed& s = (*seeds_)[place];
     if (!s.active) continue;
     ++report_.seeds;
-    if (done >= options_.max_seed_updates) continue;
-    const int before = report_.seeds_updated;
-    update_seed(&s, m.pyramid, m.mask, T_cam_world);
-    done += report_.seeds_updated - before;
+    if (count < options_.max_seed_updates && in_view(s, m.mask, T_cur_kf[s.place]))
+      chosen[count++] = static_cast<std::int16_t>(place);
+  }
+  for (int i = 0; i < count; ++i) {
+    // A keyframe's picture lies in no cache: its pixels are asked for while the seed before is searched.
+    if (i + 1 < count) {
+      const Seed& next = (*seeds_)[chosen[i + 1]];
+      prefetch_patch(map_.keyframe(next.place).pyramid, next.feature);
+    }
+    Seed& s = (*seeds_)[chosen[i]];
+    update_seed(&s, m.pyramid, m.mask, T_cur_kf[s.place]);
   }
 }
 

@@ -47,32 +47,58 @@ struct ZeroMeanPatch {
   }
 
   int score(const std::uint8_t* p, int stride) const {
-    const hn::FixedTag<std::uint8_t, 8> du8;
-    const hn::FixedTag<std::int16_t, 8> di16;
-    const hn::FixedTag<std::int32_t, 4> di32;
-    auto ab = hn::Zero(di32), bb = hn::Zero(di32), b1 = hn::Zero(di32);
+    // Two rows a vector where it holds them.
+    const hn::CappedTag<std::int16_t, 16> di16;
+    const hn::Rebind<std::uint8_t, decltype(di16)> du8;
+    const hn::RepartitionToWide<decltype(di16)> di32;
+    constexpr int kRows = static_cast<int>(hn::MaxLanes(di16)) / 8;
+    auto ab = hn::Zero(di32), bb = ab, b1 = ab, ab_odd = ab, bb_odd = ab, b1_odd = ab;
     const auto one = hn::Set(di16, std::int16_t{1});
-    for (int y = 0; y < 8; ++y, p += stride) {
+    for (int y = 0; y < 8; y += kRows, p += kRows * static_cast<std::ptrdiff_t>(stride)) {
       const auto a = hn::PromoteTo(di16, hn::Load(du8, pixel.data() + 8 * y));
-      const auto b = hn::PromoteTo(di16, hn::LoadU(du8, p));
-      auto unused = hn::Zero(di32);
-      ab = hn::ReorderWidenMulAccumulate(di32, a, b, ab, unused);
-      ab = hn::Add(ab, unused);
-      unused = hn::Zero(di32);
-      bb = hn::ReorderWidenMulAccumulate(di32, b, b, bb, unused);
-      bb = hn::Add(bb, unused);
-      unused = hn::Zero(di32);
-      b1 = hn::ReorderWidenMulAccumulate(di32, b, one, b1, unused);
-      b1 = hn::Add(b1, unused);
+      const auto b = hn::PromoteTo(di16, load_rows(du8, p, stride));
+      ab = hn::ReorderWidenMulAccumulate(di32, a, b, ab, ab_odd);
+      bb = hn::ReorderWidenMulAccumulate(di32, b, b, bb, bb_odd);
+      b1 = hn::ReorderWidenMulAccumulate(di32, b, one, b1, b1_odd);
     }
-    const int sab = hn::GetLane(hn::SumOfLanes(di32, ab));
-    const int sbb = hn::GetLane(hn::SumOfLanes(di32, bb));
-    const int sb = hn::GetLane(hn::SumOfLanes(di32, b1));
+    const auto sum_of = [&](auto even, auto odd) { return hn::GetLane(hn::SumOfLanes(di32, hn::Add(even, odd))); };
+    const int sab = sum_of(ab, ab_odd), sbb = sum_of(bb, bb_odd), sb = sum_of(b1, b1_odd);
     return sum_sq - 2 * sab + sbb - (sum * sum - 2 * sum * sb + sb * sb) / 64;
+  }
+
+  /// As many rows of eight pixels as D has room for.
+  template <typename D>
+  static hn::Vec<D> load_rows(D d, const std::uint8_t* p, int stride) {
+    if constexpr (hn::MaxLanes(D()) == 16) {
+      const hn::Half<D> half;
+      return hn::Combine(d, hn::LoadU(half, p + stride), hn::LoadU(half, p));
+    } else {
+      return hn::LoadU(d, p);
+    }
   }
 };
 
 constexpr int kMaxZmssd = 64 * 900;  // mean squared difference of 30 grey levels squared
+
+/// Where the steps of an epipolar search fall in the picture, several at a time. They are even on the unit sphere's
+/// chord between the first ray and the last, which is near enough to even in the picture.
+struct EpipolarPlaces {
+  using Row = std::array<double, CameraModel::row_room(kMaxEpipolarSteps + 1)>;
+  Row x, y, z, u, v, seen;
+
+  /// Steps 0 .. steps, at most kMaxEpipolarSteps.
+  void project(const CameraModel& camera, const Vec3& first, const Vec3& last, int steps) {
+    const Vec3 chord = last - first;
+    const int n = CameraModel::row_room(steps + 1);  // what is beyond is never read
+    for (int s = 0; s < n; ++s) {
+      const double w = static_cast<double>(s) / steps;
+      x[s] = first.x() + w * chord.x();
+      y[s] = first.y() + w * chord.y();
+      z[s] = first.z() + w * chord.z();
+    }
+    camera.project(steps + 1, CameraModel::Rows<double>{x.data(), y.data(), z.data(), u.data(), v.data(), seen.data()});
+  }
+};
 
 float residual_limit(bool seed) {
   return seed ? kMaxResidualSeed : kMaxResidual;
@@ -241,14 +267,13 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
   } else {
     const ZeroMeanPatch zm(patch);
     const int steps = std::clamp(static_cast<int>(length / 0.7), 2, kMaxEpipolarSteps);
-    // Steps are even on the unit sphere's chord between the two rays, which is near enough to even in the picture.
-    const Vec3 fa = p_near.normalized(), fb = p_far.normalized();
+    EpipolarPlaces places;
+    places.project(camera, p_near.normalized(), p_far.normalized(), steps);
     int best = kMaxZmssd, second = kMaxZmssd, best_step = -10;
     int last_x = -1, last_y = -1;
     for (int s = 0; s <= steps; ++s) {
-      const double w = static_cast<double>(s) / steps;
-      Vec2 px;
-      if (!camera.project(fa + w * (fb - fa), &px)) continue;
+      if (!(places.seen[s] > 0.0)) continue;
+      const Vec2 px(places.u[s], places.v[s]);
       const Vec2f pl = to_level(px.cast<float>(), level);
       if (!inside(pl)) continue;
       result.visible = true;

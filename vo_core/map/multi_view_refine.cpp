@@ -6,6 +6,8 @@
 #include <limits>
 #include <vector>
 
+#include "vo_core/map/inverse_depth_rows.h"
+
 namespace godwit::vo {
 namespace {
 
@@ -61,7 +63,7 @@ void solve_upper(const std::vector<double>& l, int n, double* x) {
 struct Normal {
   std::array<Mat6, kMaxViews> A;
   std::array<Vec6, kMaxViews> b;
-  std::vector<double> W = std::vector<double>(kRoom * kMaxDim);  // row a point
+  std::vector<double> W = std::vector<double>(kMaxDim * kRoom);  // column a point
   std::array<double, kRoom> C{}, d{};
   double cost = 0;
 };
@@ -76,62 +78,51 @@ bool InverseDepthResidual::evaluate(const SE3& T, const Vec2& ray, double invers
   const double iz = 1.0 / q.z(), u = q.x() * iz, v = q.y() * iz;
   r = focal_px * (Vec2(u, v) - measured);
   const double s = focal_px * iz;
-  Mat23 P;
-  P << s, 0, -s * u, 0, s, -s * v;
-  J_t = inverse_depth * P;
-  // P * -skew(q0), written out.
-  J_w(0, 0) = s * u * -q0.y();
-  J_w(0, 1) = s * (q0.z() + u * q0.x());
-  J_w(0, 2) = s * -q0.y();
-  J_w(1, 0) = s * (-q0.z() - v * q0.y());
-  J_w(1, 1) = s * v * q0.x();
-  J_w(1, 2) = s * q0.x();
-  J_rho = P * T.t;
+  InverseDepthTerms<double> e;
+  e.set({q0.x(), q0.y(), q0.z()}, {T.t.x(), T.t.y(), T.t.z()}, inverse_depth, u, v, s);
+  J_t << e.J0[0], e.J0[1], e.J0[2], e.J1[0], e.J1[1], e.J1[2];
+  J_w << e.J0[3], e.J0[4], e.J0[5], e.J1[3], e.J1[4], e.J1[5];
+  J_rho = Vec2(e.rho0, e.rho1);
   return true;
 }
 
 struct MultiViewRefiner::Impl {
   int points = 0, views = 0;
   double focal_px = 1, min_sigma_px = 0.1;
-  std::array<Vec2, kRoom> ray;
-  std::vector<Vec2> measured = std::vector<Vec2>(kMaxViews * kRoom);
+  std::array<double, kRoom> ray_x{}, ray_y{}, odds{}, per_C{}, scaled{};
+  std::vector<double> measured_x = std::vector<double>(kMaxViews * kRoom), measured_y = measured_x;
   std::array<Normal, 2> normal;
   std::vector<double> S = std::vector<double>(kMaxDim * kMaxDim);
   std::vector<double> scratch = std::vector<double>(kMaxViews * kRoom);
   MultiViewState trial;
 
-  const Vec2& at(int view, int point) const { return measured[view * kRoom + point]; }
+  Vec2 ray(int point) const { return {ray_x[point], ray_y[point]}; }
+  Vec2 at(int view, int point) const { return {measured_x[view * kRoom + point], measured_y[view * kRoom + point]}; }
+  InverseDepthRows rows(int view, const MultiViewState& state) const {
+    return {ray_x.data(),
+            ray_y.data(),
+            state.inverse_depth.data(),
+            measured_x.data() + view * kRoom,
+            measured_y.data() + view * kRoom,
+            points,
+            focal_px};
+  }
 
-  void build(const MultiViewState& state, double sigma_px, Normal* n) const {
+  void build(const MultiViewState& state, double sigma_px, Normal* n) {
     const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
-    n->cost = 0;
+    n->C.fill(0.0);
+    n->d.fill(0.0);
+    odds.fill(1.0);
+    int behind = 0;
     for (int k = 0; k < views; ++k) {
-      n->A[k].setZero();
-      n->b[k].setZero();
+      InverseDepthPoints out{n->C.data(), n->d.data(), odds.data(), {}};
+      for (int r = 0; r < 6; ++r) out.cross[r] = n->W.data() + (6 * k + r) * kRoom;
+      behind += build_rows(state.T_view_ref[k], rows(k, state), width2, &n->A[k], &n->b[k], &out);
     }
-    InverseDepthResidual e;
-    for (int p = 0; p < points; ++p) {
-      double* w = &n->W[p * kMaxDim];
-      n->C[p] = n->d[p] = 0;
-      for (int k = 0; k < views; ++k) {
-        Eigen::Map<Vec6> cross(w + 6 * k);
-        if (!e.evaluate(state.T_view_ref[k], ray[p], state.inverse_depth[p], at(k, p), focal_px)) {
-          n->cost += kBehindCost;
-          cross.setZero();
-          continue;
-        }
-        const double e2 = e.r.squaredNorm();
-        const double weight = width2 / (width2 + e2);
-        n->cost += kCauchy * kCauchy * std::log1p(e2 / width2);
-        Eigen::Matrix<double, 2, 6> J;
-        J << e.J_t, e.J_w;
-        n->A[k].noalias() += weight * (J.transpose() * J);
-        n->b[k].noalias() += weight * (J.transpose() * e.r);
-        cross.noalias() = weight * (J.transpose() * e.J_rho);
-        n->C[p] += weight * e.J_rho.squaredNorm();
-        n->d[p] += weight * e.J_rho.dot(e.r);
-      }
-    }
+    // Of a point's views the logarithms' sum is that of their product.
+    double logarithms = 0.0;
+    for (int p = 0; p < points; ++p) logarithms += std::log(odds[p]);
+    n->cost = behind * kBehindCost + kCauchy * kCauchy * logarithms;
   }
 
   /// Reduced system of the views, damped, factored in S. False if it is not positive definite.
@@ -148,15 +139,14 @@ struct MultiViewRefiner::Impl {
     const Vec3& t = state.T_view_ref[views - 1].t;  // length 1
     for (int r = 0; r < 3; ++r)
       for (int c = 0; c <= r; ++c) S[(dim - 6 + r) * kMaxDim + dim - 6 + c] += kScaleWeight * t(r) * t(c);
-    for (int p = 0; p < points; ++p) {
-      const double inverse = point_inverse(n, p, damping);
-      const double* w = &n.W[p * kMaxDim];
-      for (int r = 0; r < dim; ++r) {
-        const double s = w[r] * inverse;
-        double* row = &S[r * kMaxDim];
-        for (int c = 0; c <= r; ++c) row[c] -= s * w[c];
-        g[r] -= s * n.d[p];
-      }
+    using Row = Eigen::Map<const Eigen::VectorXd>;
+    for (int p = 0; p < points; ++p) per_C[p] = point_inverse(n, p, damping);
+    const Row per(per_C.data(), points), d(n.d.data(), points);
+    for (int r = 0; r < dim; ++r) {
+      Eigen::Map<Eigen::VectorXd> w(scaled.data(), points);
+      w = Row(&n.W[r * kRoom], points).cwiseProduct(per);
+      for (int c = 0; c <= r; ++c) S[r * kMaxDim + c] -= w.dot(Row(&n.W[c * kRoom], points));
+      g[r] -= w.dot(d);
     }
     return cholesky(&S, dim);
   }
@@ -178,12 +168,11 @@ struct MultiViewRefiner::Impl {
       const SE3& T = state.T_view_ref[k];
       next->T_view_ref[k] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
     }
-    for (int p = 0; p < points; ++p) {
-      const double* w = &n.W[p * kMaxDim];
-      double rest = n.d[p];
-      for (int r = 0; r < dim; ++r) rest -= w[r] * x[r];
-      next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * rest;
-    }
+    std::copy_n(n.d.begin(), points, scaled.begin());
+    for (int r = 0; r < dim; ++r)
+      for (int p = 0; p < points; ++p) scaled[p] -= n.W[r * kRoom + p] * x[r];
+    for (int p = 0; p < points; ++p)
+      next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * scaled[p];
     const double length = next->T_view_ref[views - 1].t.norm();
     if (!(length > 1e-3 && length < 1e3)) return false;
     for (int k = 0; k < views; ++k) {
@@ -204,33 +193,31 @@ void MultiViewRefiner::begin(std::span<const Vec2> rays, double focal_px, double
   m.views = 0;
   m.focal_px = focal_px;
   m.min_sigma_px = min_sigma_px;
-  std::copy_n(rays.begin(), m.points, m.ray.begin());
+  for (int p = 0; p < m.points; ++p) {
+    m.ray_x[p] = rays[p].x();
+    m.ray_y[p] = rays[p].y();
+  }
 }
 
 void MultiViewRefiner::add_view(std::span<const Vec2> measured) {
   Impl& m = *impl_;
   if (m.views == kMaxViews || std::ssize(measured) < m.points) return;
-  std::copy_n(measured.begin(), m.points, m.measured.begin() + m.views * kRoom);
+  for (int p = 0; p < m.points; ++p) {
+    m.measured_x[m.views * kRoom + p] = measured[p].x();
+    m.measured_y[m.views * kRoom + p] = measured[p].y();
+  }
   ++m.views;
 }
 
 void MultiViewRefiner::refine_pose(int view, int iterations, MultiViewState* state) const {
   const Impl& m = *impl_;
   SE3& T = state->T_view_ref[view];
-  InverseDepthResidual e;
   for (int iteration = 0; iteration < iterations; ++iteration) {
-    Mat6 A = Mat6::Zero();
-    Vec6 b = Vec6::Zero();
+    Mat6 A;
+    Vec6 b;
     // The start may be several pixels off: a wide weight that narrows as the steps go on.
     const double width = std::max(kCauchy * m.min_sigma_px, 8.0 / (1 << std::min(iteration, 5)));
-    for (int p = 0; p < m.points; ++p) {
-      if (!e.evaluate(T, m.ray[p], state->inverse_depth[p], m.at(view, p), m.focal_px)) continue;
-      const double weight = width * width / (width * width + e.r.squaredNorm());
-      Eigen::Matrix<double, 2, 6> J;
-      J << e.J_t, e.J_w;
-      A.noalias() += weight * (J.transpose() * J);
-      b.noalias() += weight * (J.transpose() * e.r);
-    }
+    build_rows(T, m.rows(view, *state), width * width, &A, &b, nullptr);
     A.diagonal() *= 1.0 + 1e-6;
     const Vec6 dx = A.ldlt().solve(b);
     if (!dx.allFinite()) return;
@@ -272,7 +259,7 @@ double MultiViewRefiner::cost(const MultiViewState& state, double sigma_px) cons
   InverseDepthResidual e;
   for (int p = 0; p < m.points; ++p) {
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, p), m.focal_px);
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray(p), state.inverse_depth[p], m.at(k, p), m.focal_px);
       sum += front ? kCauchy * kCauchy * std::log1p(e.r.squaredNorm() / width2) : kBehindCost;
     }
   }
@@ -285,7 +272,7 @@ double MultiViewRefiner::sigma(const MultiViewState& state) {
   std::ptrdiff_t count = 0;
   for (int p = 0; p < m.points; ++p) {
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray[p], state.inverse_depth[p], m.at(k, p), m.focal_px);
+      const bool front = e.evaluate(state.T_view_ref[k], m.ray(p), state.inverse_depth[p], m.at(k, p), m.focal_px);
       m.scratch[count++] = front ? e.r.norm() : std::numeric_limits<double>::max();
     }
   }
@@ -302,7 +289,7 @@ double MultiViewRefiner::point_rms(const MultiViewState& state, int point) const
   double sum = 0;
   InverseDepthResidual e;
   for (int k = 0; k < m.views; ++k) {
-    if (!e.evaluate(state.T_view_ref[k], m.ray[point], state.inverse_depth[point], m.at(k, point), m.focal_px))
+    if (!e.evaluate(state.T_view_ref[k], m.ray(point), state.inverse_depth[point], m.at(k, point), m.focal_px))
       return std::numeric_limits<double>::infinity();
     sum += e.r.squaredNorm();
   }
@@ -327,7 +314,7 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
   for (int p = 0; p < m.points; ++p) {
     if (use[p] == 0) continue;
     used += 1;
-    for (int r = 0; r < dim; ++r) mean[r] += slope(p) * n.W[p * kMaxDim + r];
+    for (int r = 0; r < dim; ++r) mean[r] += slope(p) * n.W[r * kRoom + p];
   }
   if (used < 1) return false;
   for (double& v : mean) v /= used;
@@ -339,7 +326,7 @@ bool MultiViewRefiner::relative_depth_sigma(const MultiViewState& state, double 
     }
     std::array<double, kMaxDim> x{};
     for (int r = 0; r < dim; ++r) {
-      x[r] = slope(p) * n.W[p * kMaxDim + r] - mean[r];
+      x[r] = slope(p) * n.W[r * kRoom + p] - mean[r];
     }
     solve_lower(m.S, dim, x.data());
     double variance = inverse / (state.inverse_depth[p] * state.inverse_depth[p]);
