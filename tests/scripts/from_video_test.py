@@ -98,6 +98,9 @@ class FromVideo(unittest.TestCase):
         told = json.loads((flown / 'summary.json').read_text())
         self.assertEqual((told['frames'], told['sequence']), (30, str(flown / 'sequence')))
         # Again, with another camera: the earlier sequence makes way.
+        done = run(GODWIT, 'replay', self.folder / 'gone.mp4', '--fov', 70, '--out', self.folder / 'other')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('gone.mp4: no such file or folder', done.stderr)
         done = run(GODWIT, 'replay', self.video, '--fov', 70, '--frames', 3, '--out', flown)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn('Guessed', (flown / 'sequence/camera.yaml').read_text())
@@ -180,9 +183,14 @@ class FromVideo(unittest.TestCase):
         self.refused('not an empty folder', self.video, self.out, '--fov', 90)
         self.assertEqual([p.name for p in self.out.iterdir()], ['kept'])
 
-    def test_too_large_pictures_are_told_a_width(self):
+    def test_too_large_pictures_are_shrunk_and_that_is_told(self):
         self.little(2, 1920, 1080)
-        self.refused('--width 1280 or less', self.video, self.out, '--fov', 60)
+        self.refused('--width 1280 or less', self.video, self.out, '--fov', 60, '--width', 1900)
+        done = convert(self.video, self.out, '--fov', 60)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('pictures of 1920 x 1080 are larger than 1280 x 1024: shrunk to a width of 1280', done.stderr)
+        words = dict(line.split(': ', 1) for line in (self.out / 'camera.yaml').read_text().splitlines() if ': ' in line)
+        self.assertEqual((words['width'], words['height']), ('1280', '720'))
 
 
 if __name__ == '__main__':

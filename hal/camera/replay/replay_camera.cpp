@@ -40,7 +40,8 @@ rt::Result<SequenceLayout> find_sequence(const std::string& folder) {
     return SequenceLayout{SequenceLayout::Kind::kEuroc, cam0 / "data.csv", cam0 / "sensor.yaml", cam0 / "data"};
   }
   return rt::Error{folder +
-                   ": no sequence: neither rgb.txt (TUM layout) nor mav0/cam0/data.csv (EuRoC layout) is there"};
+                   ": no sequence: neither rgb.txt (TUM layout) nor mav0/cam0/data.csv (EuRoC layout) is there, "
+                   "nor image_0 and times.txt (KITTI's odometry benchmark)"};
 }
 
 rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& folder, const ReplayOptions& options) {
