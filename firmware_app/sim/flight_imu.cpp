@@ -11,7 +11,6 @@ hal::ImuErrorModel imu_errors_of(const sim::Scenario& scenario) {
   out.gyroscope_random_walk = m.gyro_bias_walk;
   out.accelerometer_noise_density = m.accel_noise;
   out.accelerometer_random_walk = m.accel_bias_walk;
-  out.gyroscope_bias_sigma = m.gyro_bias;
   out.accelerometer_bias_sigma = m.accel_bias;
   out.accelerometer_scale_sigma = 0;
   return out;

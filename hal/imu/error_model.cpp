@@ -20,7 +20,6 @@ constexpr Key kKeys[] = {
     {"gyroscope_random_walk", &ImuErrorModel::gyroscope_random_walk, 0, 0.1, "rad/s^2/sqrt(Hz)"},
     {"accelerometer_noise_density", &ImuErrorModel::accelerometer_noise_density, 1e-6, 1, "m/s^2/sqrt(Hz)"},
     {"accelerometer_random_walk", &ImuErrorModel::accelerometer_random_walk, 0, 1, "m/s^3/sqrt(Hz)"},
-    {"gyroscope_bias_sigma", &ImuErrorModel::gyroscope_bias_sigma, 1e-5, 1, "rad/s"},
     {"accelerometer_bias_sigma", &ImuErrorModel::accelerometer_bias_sigma, 1e-4, 5, "m/s^2"},
     {"accelerometer_scale_sigma", &ImuErrorModel::accelerometer_scale_sigma, 0, 0.2, "of what is measured"},
 };

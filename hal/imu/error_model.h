@@ -15,8 +15,8 @@ struct ImuErrorModel {
   std::optional<double> gyroscope_random_walk;        ///< of the bias [rad/s^2/sqrt(Hz)]
   std::optional<double> accelerometer_noise_density;  ///< [m/s^2/sqrt(Hz)]
   std::optional<double> accelerometer_random_walk;    ///< of the bias [m/s^3/sqrt(Hz)]
-  // What a calibration before take-off leaves, one sigma of an axis. Keys of our own.
-  std::optional<double> gyroscope_bias_sigma;       ///< [rad/s]
+  // What a calibration before take-off leaves, one sigma of an axis. Keys of our own. None of the gyroscope's bias:
+  // vision sees that within a second.
   std::optional<double> accelerometer_bias_sigma;   ///< [m/s^2]
   std::optional<double> accelerometer_scale_sigma;  ///< a share of what is measured
 

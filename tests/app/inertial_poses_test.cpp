@@ -151,7 +151,7 @@ TEST(InertialPoses, WhatASensorsFileSaysIsWhatIsCountedWith) {
   const vo::InertialOdometryOptions said = inertial_options(errors);
   EXPECT_DOUBLE_EQ(said.model.imu.gyro, 2e-4) << "in flight it is worse than on a table";
   EXPECT_DOUBLE_EQ(said.model.imu.accel_walk, 1e-3);
-  EXPECT_DOUBLE_EQ(said.prior.accel_bias_sigma, 0.05);
+  EXPECT_DOUBLE_EQ(said.prior.accel_bias_sigma, 0.1);
   EXPECT_DOUBLE_EQ(said.model.imu.accel, unsaid.model.imu.accel) << "nobody says that one";
   EXPECT_DOUBLE_EQ(said.told_scale_sigma, unsaid.told_scale_sigma);
   EXPECT_DOUBLE_EQ(navigation_options(errors, 7).inertial.imu.gyro, 2e-4);
