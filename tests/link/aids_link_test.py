@@ -100,6 +100,9 @@ def fly(program, scenario, seed, folder, lie=None, imu="sim"):
         end = time.monotonic() + 240
         while process.poll() is None and time.monotonic() < end:
             ap.spin(0.02)
+            # Without a sensor, which cannot be flown backwards, the pictures would go on, forth and back.
+            if imu == "none" and ap.begun is not None and time.monotonic() > ap.begun + PICTURES / FPS - 0.2:
+                break
         process.terminate()
         code = process.wait(timeout=20)
     ap.node.close()
