@@ -19,7 +19,7 @@ std::string source_words(const AidHeard& h) {
 }  // namespace
 
 const char* aid_words(hal::AidKind kind) {
-  constexpr std::array<const char*, hal::kAidKinds> kNames = {"rangefinder", "barometer", "satellites"};
+  constexpr std::array<const char*, hal::kAidKinds> kNames = {"rangefinder", "barometer", "satellites", "attitude"};
   return kNames[static_cast<std::size_t>(kind)];
 }
 

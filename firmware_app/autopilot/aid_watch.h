@@ -32,7 +32,7 @@ class AidWatch {
 /// A line for each kind that was heard.
 std::vector<std::string> aid_report(const BusAids& aids);
 
-/// "rangefinder", "barometer" or "satellites".
+/// "rangefinder", "barometer", "satellites" or "attitude".
 const char* aid_words(hal::AidKind kind);
 
 }  // namespace godwit::app

@@ -11,6 +11,8 @@ constexpr double kEarthRadiusM =
 constexpr double kRadian = M_PI / 180;
 /// A rangefinder's error grows with its distance: a lidar's data sheet.
 constexpr double kRangeShare = 0.01;
+/// A quaternion in single precision is one to this.
+constexpr double kUnitTolerance = 1e-3;
 /// Near the sea, where a height's pressure changes fastest [Pa/m].
 constexpr double kPressureSlope = 12;
 
@@ -28,6 +30,8 @@ std::optional<hal::AidKind> BusAids::kind_of(const link::AutopilotInput& input) 
       return hal::AidKind::kBarometer;
     case link::InputKind::kSatellites:
       return hal::AidKind::kSatellites;
+    case link::InputKind::kAttitude:
+      return hal::AidKind::kAttitude;
     default:
       // Local and global position are what the autopilot's own filter says: it may have been told by us.
       return std::nullopt;
@@ -95,14 +99,22 @@ BusAids::Refusal BusAids::time_of(const link::AutopilotInput& input, const Chose
 }
 
 BusAids::Refusal BusAids::measured(const link::AutopilotInput& input, hal::AidKind kind, hal::AidSample* s) {
-  s->value_m = {};
+  s->value = {};
   if (kind == hal::AidKind::kSatellites) return place(input, s);
+  if (kind == hal::AidKind::kAttitude) {
+    const double length =
+        std::hypot(std::hypot(input.value[0], input.value[1]), std::hypot(input.value[2], input.value[3]));
+    if (!(std::abs(length - 1) < kUnitTolerance)) return {"no attitude: its quaternion has the length", length};
+    s->value = hal::up_of_attitude({input.value[0], input.value[1], input.value[2], input.value[3]});
+    s->sigma = hal::kAttitudeSigmaRad;
+    return {};
+  }
   const double value = input.value[0];
   if (kind == hal::AidKind::kBarometer) {
     if (!(value > hal::kLeastPressurePa && value < hal::kMostPressurePa))
       return {"no air that flies has that pressure [Pa]", value};
-    s->value_m[2] = hal::pressure_height_m(value);
-    s->sigma_m = std::max(hal::kPressureSigmaM, std::sqrt(std::max(0.0, input.value[1])) / kPressureSlope);
+    s->value[2] = hal::pressure_height_m(value);
+    s->sigma = std::max(hal::kPressureSigmaM, std::sqrt(std::max(0.0, input.value[1])) / kPressureSlope);
     return {};
   }
   const double looks = input.value[1];
@@ -114,8 +126,8 @@ BusAids::Refusal BusAids::measured(const link::AutopilotInput& input, hal::AidKi
   if (looks != link::kLooksUnknown && looks != link::kLooksDown)
     return {"a range sensor that looks elsewhere than down: id", static_cast<double>(input.sensor)};
   if (!(value > 0)) return {"no distance [m]", value};
-  s->value_m[2] = value;
-  s->sigma_m = std::max(hal::kRangeSigmaM, kRangeShare * value);
+  s->value[2] = value;
+  s->sigma = std::max(hal::kRangeSigmaM, kRangeShare * value);
   return {};
 }
 
@@ -123,8 +135,8 @@ BusAids::Refusal BusAids::place(const link::AutopilotInput& input, hal::AidSampl
   const auto& v = input.value;
   if (!(v[3] >= link::kFix3d && v[3] <= link::kFixBest)) return {"no fix in three dimensions: its type", v[3]};
   if (!(v[4] > 0 && v[5] > 0)) return {"a fix that does not say how sure it is", 0};
-  s->sigma_m = std::max(v[4], v[5]);
-  if (!(s->sigma_m <= options_.most_sigma_m)) return {"a fix that is too unsure: sigma [m]", s->sigma_m};
+  s->sigma = std::max(v[4], v[5]);
+  if (!(s->sigma <= options_.most_sigma_m)) return {"a fix that is too unsure: sigma [m]", s->sigma};
   if (!have_origin_) {
     have_origin_ = true;
     latitude0_ = v[0], longitude0_ = v[1], height0_ = v[2];
@@ -133,7 +145,7 @@ BusAids::Refusal BusAids::place(const link::AutopilotInput& input, hal::AidSampl
   const double east =
       std::remainder(v[1] - longitude0_, 360.0) * kRadian * kEarthRadiusM * std::cos(latitude0_ * kRadian);
   const double north = (v[0] - latitude0_) * kRadian * kEarthRadiusM;
-  s->value_m = {east, north, v[2] - height0_};
+  s->value = {east, north, v[2] - height0_};
   return {};
 }
 
@@ -154,7 +166,9 @@ AidHeard BusAids::heard(hal::AidKind kind) const {
 
 BusAidsOptions bus_aids_options(const Config& config) {
   BusAidsOptions out;
-  out.used = {config.aids.range, config.aids.barometer, config.aids.satellites};
+  // Where a sensor of our own tells the vertical nobody else is asked.
+  out.used = {config.aids.range, config.aids.barometer, config.aids.satellites,
+              config.aids.attitude && !config.imu.flown_by()};
   out.range_sensor = config.aids.range_sensor;
   out.delay_ns = static_cast<rt::TimeNs>(config.aids.delay_ms * 1e6);
   return out;

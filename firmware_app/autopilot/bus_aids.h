@@ -1,5 +1,6 @@
-// From what was heard on the bus to what the tracker may use: which messages are measurements of metres, whose, and
-// when they were taken. No fused place or height of the autopilot's: our own pose may be in it.
+// From what was heard on the bus to what the tracker may use: which messages are measurements of metres or of the
+// vertical, whose, and when they were taken. No fused place, height or heading of the autopilot's: our own pose may be
+// in it.
 #pragma once
 
 #include <array>
@@ -14,8 +15,8 @@
 namespace godwit::app {
 
 struct BusAidsOptions {
-  std::array<bool, hal::kAidKinds> used = {true, true, true};  ///< by hal::AidKind
-  int range_sensor = -1;                                       ///< see Config::Aids
+  std::array<bool, hal::kAidKinds> used = {true, true, true, false};  ///< by hal::AidKind
+  int range_sensor = -1;                                              ///< see Config::Aids
   /// What was measured at a time that nobody can tell came so much later. Half of it is what it may be wrong by: at
   /// 3 m/s of climb 3 cm.
   rt::TimeNs delay_ns = 20 * rt::kNsPerMs;

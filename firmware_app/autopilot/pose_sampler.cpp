@@ -106,7 +106,7 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   } else if (s.has_velocity) {
     // Positions on end share what the map is off by: between them only each frame's own noise counts.
     const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);
-    const VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, own_sigma);
+    const vo::VelocityFit::Estimate motion = fit_.at(record.t_capture_ns, own_sigma);
     Eigen::Map<Eigen::Vector3d>(s.velocity.data()) = motion.velocity;
     for (std::size_t i = 0; i < 3; ++i) s.velocity_covariance[4 * i] = motion.velocity_variance;
   }

@@ -5,9 +5,9 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-#include "firmware_app/autopilot/velocity_fit.h"
 #include "firmware_app/link/pose_sample.h"
 #include "firmware_app/pipeline/frame_record.h"
+#include "vo_core/inertial/velocity_fit.h"
 
 namespace godwit::app {
 
@@ -41,7 +41,7 @@ class PoseSampler {
   void follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance);
 
   const Eigen::Matrix3d R_world_map_;
-  VelocityFit fit_;
+  vo::VelocityFit fit_;
   bool has_last_ = false;
   rt::TimeNs t_last_ns_ = 0;
   Eigen::Quaterniond last_q_{1, 0, 0, 0};  // camera to world

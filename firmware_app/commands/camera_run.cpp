@@ -111,8 +111,10 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
                imu->silences, inertial ? "" : "; they were watched, not used");
   }
   if (s.aided_log_sigma > 0) {
-    fmt::print("scale beside the IMU: known to {:.1f} %, by range {:.0f} %, baro {:.0f} %, gnss {:.0f} %\n",
-               100 * s.aided_log_sigma, 100 * s.aid_share[0], 100 * s.aid_share[1], 100 * s.aid_share[2]);
+    fmt::print(
+        "scale {} IMU: known to {:.1f} %, by range {:.0f} %, baro {:.0f} %, gnss {:.0f} %, starting height {:.0f} %\n",
+        inertial ? "beside the" : "without an", 100 * s.aided_log_sigma, 100 * s.aid_share[0], 100 * s.aid_share[1],
+        100 * s.aid_share[2], 100 * s.aid_share[3]);
   }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,
@@ -184,6 +186,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
   parts_plan.masks = plan.masks;
   parts_plan.view = view ? &*view : nullptr;
   parts_plan.inertial = plan.inertial;
+  parts_plan.aided = plan.aided;
   parts_plan.imu_errors = plan.imu_errors;
   parts_plan.gyro_helps = plan.gyro_helps;
   parts_plan.onlooker = !plan.events.empty();

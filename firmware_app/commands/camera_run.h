@@ -27,9 +27,10 @@ struct CameraRunPlan {
   std::int64_t total = 0;          ///< pictures to come, for the progress bar
   MaskSource* masks = nullptr;     ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   hal::Imu* imu = nullptr;         ///< read and watched beside the camera; null: none
-  hal::AidSource* aids = nullptr;  ///< used with `inertial`; null: none
-  bool inertial = false;           ///< and used: poses are metric and level
+  hal::AidSource* aids = nullptr;  ///< used with `inertial` or `aided`; null: none
+  bool inertial = false;           ///< `imu` is used: poses are metric and level
   hal::ImuErrorModel imu_errors;   ///< as the sensor's source says them
+  bool aided = false;              ///< the attitude among `aids` is, and they are the same without an IMU
   bool gyro_helps = true;          ///< vision, too; see OdometryOptions
   FrameSink* beside = nullptr;     ///< hears each record, too; null: nobody
   std::string view;                ///< folder for pictures of what was seen; empty: none

@@ -18,7 +18,7 @@ const char* severity_text(link::Severity severity) {
   return severity == link::Severity::kWarning ? "works, but: " : "";
 }
 
-/// Which of rangefinder, barometer and satellites come, and whether godwitd would use them.
+/// Which of rangefinder, barometer, satellites and attitude come, and whether godwitd would use them.
 void listen_for_aids(const Config& config, link::LinkService* service, DoctorReport* report,
                      const std::atomic<bool>& stop) {
   if (!config.aids.any()) return;
@@ -30,9 +30,11 @@ void listen_for_aids(const Config& config, link::LinkService* service, DoctorRep
     while (aids.next_until(std::numeric_limits<rt::TimeNs>::max(), &sample)) {
     }
   }
-  const std::vector<std::string> lines = aid_report(aids);
-  if (lines.empty()) report->note("aids: neither rangefinder nor barometer nor satellites are heard on the bus");
-  for (const std::string& line : lines) report->note(line);
+  bool lengths = false;
+  for (int i = 0; i < hal::kLengthKinds; ++i)
+    lengths = lengths || aids.heard(static_cast<hal::AidKind>(i)).t_heard_ns != 0;
+  if (!lengths) report->note("aids: neither rangefinder nor barometer nor satellites are heard on the bus");
+  for (const std::string& line : aid_report(aids)) report->note(line);
 }
 
 /// Where another node than the one that is configured speaks through a tunnel: that it is likely the autopilot.

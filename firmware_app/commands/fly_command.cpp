@@ -43,7 +43,7 @@ void add_fly_command(CLI::App* app, FlyArguments* a) {
                     "Draw all pictures into memory first, so that the flight has the processor for itself");
   command->footer(
       "Writes what replay writes (trajectory.tum, frames.csv, pose.csv, summary.json), and the truth: groundtruth.txt\n"
-      "(camera), groundtruth_body.txt, boxes.csv, imu.csv, range.csv, gnss.csv, baro.csv.\n"
+      "(camera), groundtruth_body.txt, boxes.csv, imu.csv, range.csv, gnss.csv, baro.csv, attitude.csv.\n"
       "Example: godwit fly street --seed 7 --out out/street");
 }
 
@@ -86,6 +86,7 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.aids = aids.get();
   plan.inertial = a.run.imu == "on";
   plan.imu_errors = imu_errors;
+  plan.aided = tells_attitude(a.run);
   plan.view = a.run.view;
   plan.view_every = a.run.view_every;
   plan.events = a.run.events;

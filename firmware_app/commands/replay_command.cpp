@@ -3,6 +3,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <CLI/Validators.hpp>
+#include <algorithm>
 #include <fmt/format.h>
 #include <memory>
 
@@ -111,8 +112,9 @@ void add_run_options(CLI::App* command, ReplayArguments* a) {
       ->capture_default_str();
   command
       ->add_option("--aids", a->aids,
-                   "With --imu on, what else tells lengths: range, baro, gnss, with commas between; from range.csv, "
-                   "baro.csv and gnss.csv beside the pictures (docs/inertial.md)")
+                   "What else tells lengths: range, baro, gnss, with commas between; from range.csv, baro.csv and "
+                   "gnss.csv beside the pictures. Without --imu on, attitude among them tells the vertical, from an "
+                   "autopilot's attitude.csv (docs/inertial.md)")
       ->type_name("LIST");
   command
       ->add_option("--model", a->model,
@@ -233,14 +235,28 @@ bool check_run_arguments(const ReplayArguments& a, Config* config) {
     refuse("--as-flown with --aids: the log does not hold when which of them was heard");
     return false;
   }
-  if (!a.aids.empty() && a.imu != "on") {
-    refuse("--aids: only with --imu on does anything ask for lengths");
+  if (!a.aids.empty() && a.imu != "on" && !tells_attitude(a)) {
+    refuse("--aids: without --imu on the vertical is missing: add attitude to the list");
+    return false;
+  }
+  if (a.imu == "on" && tells_attitude(a)) {
+    refuse("--aids attitude with --imu on: the IMU tells the vertical; leave one of them out");
+    return false;
+  }
+  if (config->link.bench_metric && tells_attitude(a)) {
+    refuse("--bench-metric takes for metres what --aids measure in metres: leave one of them out");
     return false;
   }
   // What flies here is the sequence's or the scenario's own sensor, not the file's.
   config->imu.enabled = a.imu == "on";
   config->imu.source = a.imu == "on" ? Config::Imu::Source::kReplay : Config::Imu::Source::kNone;
   return true;
+}
+
+bool tells_attitude(const ReplayArguments& a) {
+  const auto kinds = hal::parse_aid_kinds(a.aids);
+  return kinds.ok() &&
+         std::find(kinds.value().begin(), kinds.value().end(), hal::AidKind::kAttitude) != kinds.value().end();
 }
 
 int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
@@ -298,6 +314,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   plan.aids = aids.get();
   plan.inertial = a.imu == "on";
   plan.imu_errors = imu_errors;
+  plan.aided = tells_attitude(a);
   plan.view = a.view;
   plan.view_every = a.view_every;
   plan.events = a.events;

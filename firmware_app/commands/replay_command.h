@@ -47,6 +47,9 @@ bool take_link_options(const std::string& can, const std::string& mavlink, Confi
 /// Tells what is wrong with them, or reads the configuration they name into *config. False: refused.
 bool check_run_arguments(const ReplayArguments& arguments, Config* config);
 
+/// --aids names the attitude.
+bool tells_attitude(const ReplayArguments& arguments);
+
 /// Runs it; ends early when *stop becomes true. Returns an ExitCode.
 int run_replay(const ReplayArguments& arguments, const std::atomic<bool>& stop);
 

@@ -102,9 +102,11 @@ struct Config {
   /// What the autopilot and sensors on the bus tell beside camera and inertial sensor: used where it is heard.
   struct Aids {
     bool range = true, barometer = true, satellites = true;
-    int range_sensor = -1;  ///< id of a DroneCAN range sensor that looks down and does not say so; -1: none
-    double delay_ms = 20;   ///< a measurement is so old on arrival, where its message does not say on a clock we know
-    bool any() const { return range || barometer || satellites; }
+    bool attitude = true;          ///< the autopilot's roll and pitch, where no inertial sensor is flown by
+    double starting_height_m = 0;  ///< of the camera above flat ground where its first map begins; 0: not known
+    int range_sensor = -1;         ///< id of a DroneCAN range sensor that looks down and does not say so; -1: none
+    double delay_ms = 20;  ///< a measurement is so old on arrival, where its message does not say on a clock we know
+    bool any() const { return range || barometer || satellites || attitude; }
   } aids;
 
   /// The CAN bus, and godwit as a DroneCAN node on it.

@@ -70,6 +70,8 @@ void add_aids(Config* c, std::vector<Key>* to) {
   to->push_back(keys::flag("aids.range", &c->aids.range));
   to->push_back(keys::flag("aids.barometer", &c->aids.barometer));
   to->push_back(keys::flag("aids.satellites", &c->aids.satellites));
+  to->push_back(keys::flag("aids.attitude", &c->aids.attitude));
+  to->push_back(keys::number("aids.starting_height_m", 0, 10000, "m", &c->aids.starting_height_m));
   to->push_back(keys::whole("aids.range_sensor", -1, 255, &c->aids.range_sensor));
   to->push_back(keys::number("aids.delay_ms", 0, 500, "ms", &c->aids.delay_ms));
 }

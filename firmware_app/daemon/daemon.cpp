@@ -158,6 +158,16 @@ void tell(const FlightLogReport& r) {
                   r.trouble.empty() ? "" : "; " + r.trouble));
 }
 
+/// Without an inertial sensor the autopilot's attitude tells the vertical, where it is known how the camera sits on it.
+bool flown_by_attitude(const Config& config, const hal::CameraCalibration& calibration, const LinkRunner* autopilot) {
+  if (config.imu.flown_by() || !config.aids.attitude || autopilot == nullptr) return false;
+  if (inertial_mounting(config, calibration)) return true;
+  say("aids: not used, and no pose will be in metres: neither the calibration nor link.T_body_cam says where the "
+      "camera "
+      "sits on the body");
+  return false;
+}
+
 /// Camera, networks and threads, until the end. Returns an ExitCode.
 int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, LinkRunner* autopilot,
         rt::Heartbeats* heartbeats, const hal::ServiceManager& manager, const std::function<void(const char*)>& abandon,
@@ -177,6 +187,7 @@ int fly(const Config& config, DaemonCamera* camera, const Mounting& mounting, Li
   auto imu_errors = daemon_imu_errors(config, *camera);
   if (!imu_errors) return give_up(imu_errors.error().message);
   plan.imu_errors = imu_errors.value();
+  plan.aided = flown_by_attitude(config, calibration, autopilot);
   const std::string events = events_folder(config);
   plan.onlooker = !events.empty();
   const std::unique_ptr<LivePicture> picture = live_picture(config, calibration.width, calibration.height);

@@ -92,6 +92,14 @@ rt::Result<Assembly> assemble(const Config& config, const hal::CameraCalibration
     odometry.inertial_time_offset_s = calibration.time_offset_s.value_or(0);
     odometry.coast_ns = static_cast<rt::TimeNs>(config.imu.coast_s * 1e9);
   }
+  if (plan.aided) {
+    odometry.aided_T_body_cam = inertial_mounting(config, calibration);
+    if (!odometry.aided_T_body_cam)
+      return rt::Error{(plan.calibration_name.empty() ? "" : plan.calibration_name + ": ") +
+                       std::string("the autopilot's attitude cannot be used without T_body_cam: where the camera sits "
+                                   "on the body")};
+  }
+  odometry.starting_height_m = config.aids.starting_height_m;
   MaskSource* const masks = plan.masks != nullptr ? plan.masks : out.dynamic.get();
   out.stage = make_odometry_stage(model.value(), odometry, out.pool.get(), masks, plan.view);
   return out;

@@ -26,6 +26,7 @@ struct AssemblyPlan {
   MaskSource* masks = nullptr;    ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   FrameView* view = nullptr;      ///< may be null
   bool inertial = false;          ///< the pipeline has an inertial sensor, and it is to be used
+  bool aided = false;             ///< it has none, and an autopilot's attitude is to be used
   hal::ImuErrorModel imu_errors;  ///< as the sensor's source says them; imu.calibration wins
   bool gyro_helps = true;         ///< vision, too; see OdometryOptions
   bool onlooker = false;          ///< slots for one (PipelineOptions::onlooker)
@@ -41,8 +42,8 @@ struct Assembly {
   void plan_detector(PipelineOptions* options) const;
 };
 
-/// Where the camera sits on the inertial sensor's axes: as the calibration says, which was made with that sensor; or
-/// else as link.T_body_cam does. Nothing: neither says it.
+/// Where the camera sits on the axes of the inertial sensor, or of the autopilot: as the calibration says, which was
+/// made with that sensor; or else as link.T_body_cam does. Nothing: neither says it.
 std::optional<std::array<double, 16>> inertial_mounting(const Config& config,
                                                         const hal::CameraCalibration& calibration);
 

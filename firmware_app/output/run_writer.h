@@ -34,9 +34,10 @@ struct RunSummary {
   double pictures_hz = 0, poses_hz = 0;       ///< due, and tracked, a second of the source's time; 0: too few
   Statistics ms, thread_cpu_ms, proc_cpu_ms;  ///< over tracked frames
   Statistics age_ms;                          ///< real pace: from capture to pose, over tracked frames
-  /// Of the last tracked frame; share: of what rangefinder, barometer and satellites say of lengths (hal::AidKind).
+  /// Of the last tracked frame; share: of what rangefinder, barometer and satellites and starting height say of lengths
+  /// (vo::ScaleSource).
   double aided_log_sigma = 0;
-  std::array<double, hal::kAidKinds> aid_share{};
+  std::array<double, vo::kScaleSources> aid_share{};
 };
 
 /// Writes line by line while the run goes on; the files get their names in finish(), summary.json last, so a folder

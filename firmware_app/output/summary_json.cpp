@@ -111,8 +111,8 @@ std::string summary_json(const RunDescription& d, const RunSummary& s, const Pip
   if (pipeline.imu) j["imu"] = of(*pipeline.imu);
   if (s.aided_log_sigma > 0) {
     j["aids"] = {{"scale_sigma", fine(s.aided_log_sigma)}};
-    for (std::size_t i = 0; i < s.aid_share.size(); ++i)
-      j["aids"][hal::aid_name(static_cast<hal::AidKind>(i))] = fine(s.aid_share[i]);
+    constexpr std::array<const char*, vo::kScaleSources> kNames = {"range", "baro", "gnss", "starting_height"};
+    for (std::size_t i = 0; i < s.aid_share.size(); ++i) j["aids"][kNames[i]] = fine(s.aid_share[i]);
   }
   j["records_lost"] = pipeline.records_lost;
   j["threads"] = Json::array();

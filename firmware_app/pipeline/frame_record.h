@@ -12,9 +12,9 @@
 
 #include "firmware_app/pipeline/flown_order.h"
 #include "firmware_app/pipeline/load_record.h"
-#include "hal/aid/aid.h"
 #include "hal/rt/time.h"
 #include "vo_core/inertial/motion.h"
+#include "vo_core/inertial/scale_state.h"
 #include "vo_core/tracking/state.h"
 
 namespace godwit::app {
@@ -84,8 +84,8 @@ struct InertialRecord {
   std::array<double, 3> accel_bias{};  ///< [m/s^2]
   std::array<double, 3> mounting{};    ///< rotation vector right of the configured R_body_cam: what that has wrong
   double time_offset_s = 0;            ///< a picture stamped t was taken at t + this on the inertial sensor's clock
-  double aided_log_sigma = 0;          ///< of the scale by what stands beside that sensor; 0: it says nothing
-  std::array<double, hal::kAidKinds> aid_share{};  ///< of that, by hal::AidKind; together 1, or 0
+  double aided_log_sigma = 0;  ///< of the scale by what stands beside camera and that sensor; 0: it says nothing
+  std::array<double, vo::kScaleSources> aid_share{};  ///< of that, by vo::ScaleSource; together 1, or 0
 };
 
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "firmware_app/pipeline/inertial_options.h"
+#include "firmware_app/pipeline/metric_record.h"
 
 namespace godwit::app {
 namespace {
@@ -13,40 +14,18 @@ namespace {
 /// frame 135 lost its pose there, with 5 none did.
 constexpr double kTurnSigmaRad = 5e-3;
 
-constexpr std::array<vo::ScaleSource, hal::kAidKinds> kSources = {vo::ScaleSource::kRange, vo::ScaleSource::kBarometer,
-                                                                  vo::ScaleSource::kSatellites};
-
-/// The same as who checks.
-constexpr std::array<vo::CheckedBy, hal::kAidKinds> kCheckedBy = {vo::CheckedBy::kRange, vo::CheckedBy::kBarometer,
-                                                                  vo::CheckedBy::kSatellites};
+/// Who tells lengths as one who checks, by vo::ScaleSource.
+constexpr std::array<vo::CheckedBy, hal::kLengthKinds> kCheckedBy = {vo::CheckedBy::kRange, vo::CheckedBy::kBarometer,
+                                                                     vo::CheckedBy::kSatellites};
 
 /// What is known of the scale beside the inertial sensor is mostly this one's.
 std::size_t most_heard(const vo::ScaleState& aided) {
   std::size_t most = 0;
-  for (std::size_t i = 1; i < kSources.size(); ++i) {
-    if (aided.share(kSources[i]) > aided.share(kSources[most])) most = i;
+  for (std::size_t i = 1; i < kCheckedBy.size(); ++i) {
+    const auto share = [&](std::size_t k) { return aided.share(static_cast<vo::ScaleSource>(k)); };
+    if (share(i) > share(most)) most = i;
   }
   return most;
-}
-
-/// All of vision's numbers that are used are numbers.
-bool finite(const vo::FrameResult& r) {
-  return r.T_world_cam.R.allFinite() && r.T_world_cam.t.allFinite() && r.covariance.allFinite() &&
-         r.own_covariance.allFinite() && r.relative.covariance.allFinite() && std::isfinite(r.median_depth) &&
-         r.moved_by.allFinite() && r.turned_by.allFinite();
-}
-
-vo::CameraMounting mounting_of(const std::array<double, 16>& T) {
-  vo::CameraMounting out;
-  for (std::size_t row = 0; row < 3; ++row) {
-    for (std::size_t column = 0; column < 3; ++column) {
-      out.R_body_cam(static_cast<int>(row), static_cast<int>(column)) = T[4 * row + column];
-    }
-    out.t_body_cam_m[static_cast<int>(row)] = T[4 * row + 3];
-  }
-  // A file's digits are no rotation to the last bit.
-  out.R_body_cam = Eigen::Quaterniond(out.R_body_cam).normalized().toRotationMatrix();
-  return out;
 }
 
 /// What the smoother knows of the sensor goes with the pose, so that dead reckoning begins with it.
@@ -88,8 +67,13 @@ void InertialPoses::take(const hal::ImuSample& s) {
 }
 
 void InertialPoses::take(const hal::AidSample& s) {
-  odometry_->take(vo::AidReading{kSources[static_cast<std::size_t>(s.kind)], s.t_ns + shift_ns_,
-                                 Eigen::Vector3d(s.value_m.data()), s.sigma_m});
+  // The vertical is this sensor's own.
+  if (s.kind == hal::AidKind::kAttitude) return;
+  odometry_->take(reading_of(s, shift_ns_));
+}
+
+void InertialPoses::starts_at_height(double height_m) {
+  odometry_->take(start_reading(height_m));
 }
 
 vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
@@ -117,20 +101,8 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   if (result.repeated) return;
   t_ns += shift_ns_;
   t_last_ns_ = t_ns;
-  vo::VisualPose seen;
-  seen.t_ns = t_ns;
-  seen.tracked = last_seen_ = result.tracked && finite(result);
-  seen.map_id = result.map_id;
-  seen.T_map_cam = result.T_world_cam;
-  seen.covariance = result.covariance;
-  seen.own_covariance = result.own_covariance;
-  seen.relative_covariance = result.relative.covariance;
-  if (result.relative.keyframe_id != 0) seen.relative_age_ns = t_ns - shift_ns_ - result.relative.t_keyframe_ns;
-  seen.median_depth = result.median_depth;
-  seen.points = std::span(result.points.at).first(result.points.count);
-  seen.map_moved = result.map_moved;
-  seen.moved_by = result.moved_by;
-  seen.turned_by = result.turned_by;
+  const vo::VisualPose seen = visual_pose(result, t_ns - shift_ns_, t_ns);
+  last_seen_ = seen.tracked;
   const vo::MetricPose metric = odometry_->frame(seen);
   if (metric.valid && odometry_->aids_off2() >= 0)
     navigation_->contradicted(kCheckedBy[most_heard(odometry_->aided_scale())], odometry_->aids_off2(), t_ns);
@@ -155,12 +127,9 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
                    static_cast<std::int32_t>(coast_ns_ / rt::kNsPerMs)};
     record->reason.assign_measured(record->why.text, record->why.value, record->why.limit);
   } else if (seen_without_metres) {
-    record->state = vo::State::kInitialising;
     const auto& why = odometry_->refusal();
     const char* const text = why.text[0] != '\0' ? why.text : "waiting for motion that shows scale and vertical";
-    // In thousandths: a reason's figures are whole numbers.
-    record->why = {text, measured_figure(1000 * why.value), measured_figure(1000 * why.limit)};
-    record->reason.assign_measured(text, record->why.value, record->why.limit);
+    tell_unmetric(text, why.value, why.limit, record);
   }
 }
 
@@ -170,35 +139,14 @@ void InertialPoses::tell_sensor(double log_scale_sigma) {
   Eigen::Map<Eigen::Vector3d>(sensor_.gyro_bias.data()) = x.bias.gyro;
   Eigen::Map<Eigen::Vector3d>(sensor_.accel_bias.data()) = x.bias.accel;
   Eigen::Map<Eigen::Vector3d>(sensor_.mounting.data()) = x.mounting;
-  const vo::ScaleState& aided = odometry_->aided_scale();
-  sensor_.aided_log_sigma = aided.known() ? aided.log_sigma() : 0;
-  for (std::size_t i = 0; i < kSources.size(); ++i) sensor_.aid_share[i] = aided.share(kSources[i]);
+  tell_shares(odometry_->aided_scale(), &sensor_);
   sensor_.time_offset_s = rt::to_seconds(shift_ns_) + x.time_offset_s;
 }
 
 void InertialPoses::fill(const vo::NavigationPose& pose, FrameRecord* record) const {
-  record->metric = true;
+  fill_metric(pose, record);
   record->inertial = sensor_;
-  record->frame_id = pose.frame_id;
-  record->trust = pose.trust;
   record->motion = navigation_->motion();
-  const Eigen::Quaterniond q = pose.T_nav_cam.quaternion();
-  record->q_world_cam = {q.x(), q.y(), q.z(), q.w()};
-  Eigen::Map<Eigen::Vector3d>(record->t_world_cam.data()) = pose.T_nav_cam.t;
-  Eigen::Map<Eigen::Vector3d>(record->velocity.data()) = pose.velocity_m_s;
-  Eigen::Map<Eigen::Vector3d>(record->moved_by.data()) = pose.moved_by_m;
-  Eigen::Map<Eigen::Vector3d>(record->turned_by.data()) = pose.turned_by_rad;
-  record->map_moved = pose.moved_by_m.squaredNorm() + pose.turned_by_rad.squaredNorm() > 0;
-  // The record's covariance is along the camera's axes (see autopilot/pose_sampler.cpp).
-  vo::Mat6 to_cam = vo::Mat6::Zero();
-  to_cam.topLeftCorner<3, 3>() = to_cam.bottomRightCorner<3, 3>() = pose.T_nav_cam.R.transpose();
-  const vo::Mat6 C = to_cam * pose.covariance * to_cam.transpose();
-  std::size_t k = 0, v = 0;
-  for (int row = 0; row < 6; ++row) {
-    for (int column = row; column < 6; ++column) record->covariance[k++] = C(row, column);
-    for (int column = row; column < 3; ++column)
-      record->velocity_covariance[v++] = pose.velocity_covariance(row, column);
-  }
 }
 
 }  // namespace godwit::app

@@ -26,6 +26,8 @@ class InertialPoses {
 
   void take(const hal::ImuSample& sample);
   void take(const hal::AidSample& sample);
+  /// The camera's height above flat ground where the first map begins. Before the first frame.
+  void starts_at_height(double height_m);
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
   /// bias is not known. Before the frame at t_ns is tracked.
   vo::RotationPrior turn_since_last(rt::TimeNs t_ns) const;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "firmware_app/pipeline/aided_poses.h"
 #include "firmware_app/pipeline/inertial_poses.h"
 #include "firmware_app/pipeline/mask_exchange.h"
 #include "hal/rt/spsc_ring.h"
@@ -45,7 +46,11 @@ class OdometryStage final : public FrameStage {
     if (options.inertial_T_body_cam) {
       inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns,
                                                   options.inertial_time_offset_s, options.inertial_errors);
+    } else if (options.aided_T_body_cam) {
+      aided_ = std::make_unique<AidedPoses>(*options.aided_T_body_cam);
     }
+    if (options.starting_height_m > 0 && inertial_ != nullptr) inertial_->starts_at_height(options.starting_height_m);
+    if (options.starting_height_m > 0 && aided_ != nullptr) aided_->starts_at_height(options.starting_height_m);
   }
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
@@ -77,6 +82,7 @@ class OdometryStage final : public FrameStage {
     record->order = order_;
     take_mapping(&record->mapping);
     if (inertial_ != nullptr) inertial_->make_metric(result, frame.meta.t_capture_ns, record);
+    if (aided_ != nullptr) aided_->make_metric(result, frame.meta.t_capture_ns, record);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -89,6 +95,7 @@ class OdometryStage final : public FrameStage {
 
   void take_aid(const hal::AidSample& sample) override {
     if (inertial_ != nullptr) inertial_->take(sample);
+    if (aided_ != nullptr) aided_->take(sample);
   }
 
   void limit_features(double share) override { feature_share_ = share; }
@@ -218,7 +225,8 @@ class OdometryStage final : public FrameStage {
   // Tracker's own.
   MaskExchange exchange_;  ///< used only with masks
   const bool gyro_helps_;
-  std::unique_ptr<InertialPoses> inertial_;  ///< null: vision alone
+  std::unique_ptr<InertialPoses> inertial_;  ///< null: no inertial sensor is flown by
+  std::unique_ptr<AidedPoses> aided_;        ///< null: that one is, or nobody else's attitude is used
   double feature_share_ = 1.0;
   FlownOrder order_;  ///< of the last frame, and the readings since
 };

@@ -26,6 +26,10 @@ struct OdometryOptions {
   /// Use the inertial sensor: poses are then metric and level, and only frames with such a pose count as tracked.
   /// Row by row; maps camera points into the body, whose axes the sensor's readings have.
   std::optional<std::array<double, 16>> inertial_T_body_cam;
+  /// Without it: use the autopilot's attitude and what knows lengths, once an attitude is heard; the same matrix, of
+  /// the autopilot's body. Not both.
+  std::optional<std::array<double, 16>> aided_T_body_cam;
+  double starting_height_m = 0;        ///< of the camera above flat ground where its first map begins; 0: not known
   double inertial_time_offset_s = 0;   ///< what to add to the camera's times to have that sensor's
   hal::ImuErrorModel inertial_errors;  ///< of that sensor, as far as they are known
   /// The gyroscope's turns start the tracker's alignment. Not where the two are to be measured against each other.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "hal/sim/flight/sim_attitude.h"
 #include "hal/sim/flight/sim_baro.h"
 #include "hal/sim/sensors/sensor.h"
 
@@ -27,6 +28,12 @@ hal::AidRecord aid_record_of(const sim::Flight& flight, const std::vector<hal::A
     while (gnss->next(&s, 0) == hal::GnssStatus::kSample) {
       if (s.fix) all.push_back({hal::AidKind::kSatellites, s.t_ns, s.position_m, s.sigma_position_m});
     }
+  }
+  if (wanted(hal::AidKind::kAttitude)) {
+    sim::SimAttitude attitude(flight, 0);
+    sim::AttitudeSample s;
+    while (attitude.next(&s))
+      all.push_back({hal::AidKind::kAttitude, s.t_ns, hal::up_of_attitude(s.q_ned_body), hal::kAttitudeSigmaRad});
   }
   std::stable_sort(all.begin(), all.end(),
                    [](const hal::AidSample& a, const hal::AidSample& b) { return a.t_ns < b.t_ns; });

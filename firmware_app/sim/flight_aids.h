@@ -1,4 +1,4 @@
-// What a simulated flight's rangefinder, barometer and satellites would have left on file.
+// What a simulated flight's rangefinder, barometer, satellites and autopilot would have left on file.
 #pragma once
 
 #include <vector>

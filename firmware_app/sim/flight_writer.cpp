@@ -12,6 +12,7 @@
 
 #include "firmware_app/output/progress_bar.h"
 #include "hal/atomic_file.h"
+#include "hal/sim/flight/sim_attitude.h"
 #include "hal/sim/flight/sim_baro.h"
 
 namespace godwit::app {
@@ -174,7 +175,15 @@ rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out, d
     }
     if (auto r = write_text(out + "/baro.csv", text); !r) return r;
   }
-  return {};
+  sim::SimAttitude attitude(flight, epoch_ns(epoch_s));
+  std::string text = "t,qw,qx,qy,qz,off_deg\n";
+  sim::AttitudeSample s;
+  while (attitude.next(&s)) {
+    const auto& q = s.q_ned_body;
+    text += fmt::format("{},{:.7f},{:.7f},{:.7f},{:.7f},{:.3f}\n", seconds(s.t_ns), q[0], q[1], q[2], q[3],
+                        attitude.off_deg());
+  }
+  return write_text(out + "/attitude.csv", text);
 }
 
 }  // namespace

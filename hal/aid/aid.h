@@ -1,5 +1,5 @@
-// One interface to what knows metres beside the camera: rangefinder, barometer, satellites; from the bus, from files,
-// or from simulation.
+// One interface to what knows metres or the vertical beside the camera: rangefinder, barometer, satellites, and
+// somebody else's attitude; from the bus, from files, or from simulation.
 #pragma once
 
 #include <array>
@@ -10,11 +10,12 @@
 
 namespace godwit::hal {
 
-enum class AidKind : std::uint8_t { kRange, kBarometer, kSatellites };
-constexpr int kAidKinds = 3;
-/// "range", "baro", "gnss": as options, files and reports call them.
+enum class AidKind : std::uint8_t { kRange, kBarometer, kSatellites, kAttitude };
+constexpr int kAidKinds = 4;
+constexpr int kLengthKinds = 3;  ///< the first ones: they know metres
+/// "range", "baro", "gnss", "attitude": as options, files and reports call them.
 constexpr const char* aid_name(AidKind kind) {
-  constexpr std::array<const char*, kAidKinds> kNames = {"range", "baro", "gnss"};
+  constexpr std::array<const char*, kAidKinds> kNames = {"range", "baro", "gnss", "attitude"};
   return kNames[static_cast<std::size_t>(kind)];
 }
 
@@ -27,14 +28,25 @@ constexpr double kLeastPressurePa = 22632, kMostPressurePa = 120000;
 /// One sigma of a rangefinder's distance and of a height by pressure, where the source does not say it [m]. A lidar's
 /// data sheet; MS5611 at its highest oversampling is 0.1 m.
 constexpr double kRangeSigmaM = 0.05, kPressureSigmaM = 0.15;
+/// The same of an autopilot's roll and pitch [rad]: it takes what its accelerometer feels for gravity, and one of the
+/// MPU-6000's grade has a bias of up to 0.15 m/s^2 (euroc_mh01's has): 0.9 degrees, which no mean takes away.
+constexpr double kAttitudeSigmaRad = 0.0175;
+
+/// Against gravity along the body's axes (front, right, down), of an attitude from there to north, east, down: a unit
+/// quaternion w x y z. What it says of the heading is not in it.
+inline std::array<double, 3> up_of_attitude(const std::array<double, 4>& q) {
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  return {-2 * (x * z - w * y), -2 * (y * z + w * x), -(w * w - x * x - y * y + z * z)};
+}
 
 struct AidSample {
   AidKind kind = AidKind::kRange;
   rt::TimeNs t_ns = 0;
   /// Satellites: place in a local frame with z up whose origin the source keeps. Barometer: z, height by the pressure
-  /// of the standard atmosphere. Rangefinder: z, distance along its beam. [m]
-  std::array<double, 3> value_m{};
-  double sigma_m = 0;  ///< one sigma of each axis
+  /// of the standard atmosphere. Rangefinder: z, distance along its beam. [m] Attitude: against gravity along the
+  /// body's axes, unit length.
+  std::array<double, 3> value{};
+  double sigma = 0;  ///< one sigma of each axis [m]; attitude: [rad], shared by neighbours
 };
 
 /// What has come, without waiting. One thread calls it. No allocation, no lock.

@@ -1,6 +1,7 @@
 // What of the bus becomes an aid, when it was measured, and what is refused with which reason.
 #include "firmware_app/autopilot/bus_aids.h"
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
@@ -46,6 +47,16 @@ class Bus {
     in.value = {latitude, longitude, height, type, sigma, sigma, 0};
     return in;
   }
+  /// Body (front, right, down) to north, east, down by yaw, pitch and roll.
+  AutopilotInput attitude(rt::TimeNs t_ns, double yaw, double pitch, double roll) {
+    AutopilotInput in = range(t_ns, 10 * kMs, 0);
+    in.kind = InputKind::kAttitude;
+    const Eigen::Quaterniond q(Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()) *
+                               Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitY()) *
+                               Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()));
+    in.value = {q.w(), q.x(), q.y(), q.z(), 0, 0, 0};
+    return in;
+  }
   /// The sample that comes of one message; false: none does.
   bool give(const AutopilotInput& in) {
     EXPECT_TRUE(ring->try_push(in));
@@ -63,8 +74,8 @@ TEST(BusAids, AMeasurementHasItsOwnTimeOrItsArrivalLessTheDelay) {
   ASSERT_TRUE(b.give(b.range(1000 * kMs, 35 * kMs, 12.5)));
   EXPECT_EQ(b.sample.kind, hal::AidKind::kRange);
   EXPECT_EQ(b.sample.t_ns, 965 * kMs);
-  EXPECT_EQ(b.sample.value_m[2], 12.5);
-  EXPECT_NEAR(b.sample.sigma_m, 0.125, 1e-9);
+  EXPECT_EQ(b.sample.value[2], 12.5);
+  EXPECT_NEAR(b.sample.sigma, 0.125, 1e-9);
   ASSERT_TRUE(b.give(b.range(1100 * kMs, 0, 12.5)));
   EXPECT_EQ(b.sample.t_ns, 1080 * kMs) << "nobody says when";
   // A clock that runs ahead by less than half a bad round trip.
@@ -91,12 +102,12 @@ TEST(BusAids, TheTrackerGetsWhatWasMeasuredUpToItsPictureAndTheRestLater) {
   for (int i = 0; i < 3; ++i) b.ring->try_push(b.range((1000 + 50 * i) * kMs, 10 * kMs, 10 + i));
   EXPECT_FALSE(b.aids.next_until(980 * kMs, &b.sample));
   ASSERT_TRUE(b.aids.next_until(1050 * kMs, &b.sample));
-  EXPECT_EQ(b.sample.value_m[2], 10);
+  EXPECT_EQ(b.sample.value[2], 10);
   ASSERT_TRUE(b.aids.next_until(1050 * kMs, &b.sample));
-  EXPECT_EQ(b.sample.value_m[2], 11);
+  EXPECT_EQ(b.sample.value[2], 11);
   EXPECT_FALSE(b.aids.next_until(1050 * kMs, &b.sample));
   ASSERT_TRUE(b.aids.next_until(1100 * kMs, &b.sample));
-  EXPECT_EQ(b.sample.value_m[2], 12);
+  EXPECT_EQ(b.sample.value[2], 12);
   EXPECT_FALSE(b.aids.next_until(9000 * kMs, &b.sample));
 }
 
@@ -109,6 +120,43 @@ TEST(BusAids, NothingThatTheAutopilotMadeOfItsSensorsIsTaken) {
     EXPECT_FALSE(b.give(in)) << static_cast<int>(kind);
   }
   for (int i = 0; i < hal::kAidKinds; ++i) EXPECT_EQ(b.aids.heard(static_cast<hal::AidKind>(i)).t_heard_ns, 0);
+}
+
+TEST(BusAids, OfTheAutopilotsAttitudeOnlyTheVerticalIsTakenAndOnlyWhereNobodyElseTellsIt) {
+  Config config;
+  ASSERT_FALSE(config.imu.flown_by());
+  Bus b(bus_aids_options(config));
+  ASSERT_TRUE(b.give(b.attitude(1000 * kMs, 0, 0, 0)));
+  EXPECT_EQ(b.sample.kind, hal::AidKind::kAttitude);
+  EXPECT_EQ(b.sample.t_ns, 990 * kMs);
+  EXPECT_EQ(b.sample.sigma, hal::kAttitudeSigmaRad);
+  EXPECT_NEAR(b.sample.value[2], -1, 1e-12) << "level: up is against the body's down";
+  rt::TimeNs t_ns = 1000 * kMs;
+  for (const double yaw : {0.0, 1.0, -2.5}) {
+    // Nose up: up leans to the front. Right side down: up leans to the left.
+    ASSERT_TRUE(b.give(b.attitude(t_ns += 100 * kMs, yaw, 0.3, 0)));
+    EXPECT_NEAR(b.sample.value[0], std::sin(0.3), 1e-12) << "whatever the heading, which may be ours";
+    EXPECT_NEAR(b.sample.value[2], -std::cos(0.3), 1e-12);
+    ASSERT_TRUE(b.give(b.attitude(t_ns += 100 * kMs, yaw, 0, 0.2)));
+    EXPECT_NEAR(b.sample.value[1], -std::sin(0.2), 1e-12);
+  }
+  AutopilotInput stretched = b.attitude(5000 * kMs, 0, 0, 0);
+  stretched.value[0] = 1.04;
+  EXPECT_FALSE(b.give(stretched));
+  EXPECT_EQ(b.why(hal::AidKind::kAttitude), "no attitude: its quaternion has the length");
+  AutopilotInput old = b.attitude(6000 * kMs, 0, 0, 0);
+  old.t_measured_ns = 5000 * kMs;
+  EXPECT_FALSE(b.give(old));
+  EXPECT_EQ(b.why(hal::AidKind::kAttitude), "old on arrival [ms]");
+
+  config.imu.source = Config::Imu::Source::kReplay;
+  config.imu.enabled = true;
+  Bus with_imu(bus_aids_options(config));
+  EXPECT_FALSE(with_imu.give(with_imu.attitude(1000 * kMs, 0, 0, 0)));
+  config = {};
+  config.aids.attitude = false;
+  Bus off(bus_aids_options(config));
+  EXPECT_FALSE(off.give(off.attitude(1000 * kMs, 0, 0, 0)));
 }
 
 TEST(BusAids, OneOfAKindIsUsedUntilItFallsSilent) {
@@ -152,9 +200,9 @@ TEST(BusAids, PressureInAnotherUnitIsNoPressure) {
   for (const double pa : {950.0, 95.0, 9.5e6, 0.0, -95000.0}) EXPECT_FALSE(b.give(b.pressure(1000 * kMs, pa))) << pa;
   EXPECT_EQ(b.why(hal::AidKind::kBarometer), "no air that flies has that pressure [Pa]");
   ASSERT_TRUE(b.give(b.pressure(2000 * kMs, 101325)));
-  EXPECT_NEAR(b.sample.value_m[2], 0, 1e-6);
+  EXPECT_NEAR(b.sample.value[2], 0, 1e-6);
   ASSERT_TRUE(b.give(b.pressure(3000 * kMs, 89874.6)));
-  EXPECT_NEAR(b.sample.value_m[2], 1000, 1);
+  EXPECT_NEAR(b.sample.value[2], 1000, 1);
 }
 
 TEST(BusAids, AFixIsAPlaceInAFrameOfItsOwnWhereItIsSureEnough) {
@@ -167,11 +215,11 @@ TEST(BusAids, AFixIsAPlaceInAFrameOfItsOwnWhereItIsSureEnough) {
   EXPECT_FALSE(b.give(b.fix(900 * kMs, 47, 8, 400, 3, 12)));
   EXPECT_EQ(b.why(hal::AidKind::kSatellites), "a fix that is too unsure: sigma [m]");
   ASSERT_TRUE(b.give(b.fix(1000 * kMs, 47, 179.9999, 400)));
-  EXPECT_EQ(b.sample.value_m[0], 0);
+  EXPECT_EQ(b.sample.value[0], 0);
   ASSERT_TRUE(b.give(b.fix(1200 * kMs, 47.001, -179.9999, 410)));
-  EXPECT_NEAR(b.sample.value_m[1], 111.2, 0.4);
-  EXPECT_NEAR(b.sample.value_m[0], 15.2, 0.1) << "across the date line";
-  EXPECT_NEAR(b.sample.value_m[2], 10, 1e-9);
+  EXPECT_NEAR(b.sample.value[1], 111.2, 0.4);
+  EXPECT_NEAR(b.sample.value[0], 15.2, 0.1) << "across the date line";
+  EXPECT_NEAR(b.sample.value[2], 10, 1e-9);
 }
 
 TEST(BusAids, WhatIsSwitchedOffIsNotHeard) {

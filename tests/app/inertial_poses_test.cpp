@@ -275,8 +275,8 @@ TEST(InertialPoses, SatellitesThatContradictMakeThePoseBeTrustedLessAsLongAsThey
       s.kind = hal::AidKind::kSatellites;
       s.t_ns = k * rt::kNsPerSecond / 20 - rt::kNsPerMs;
       // Until the 20th second they say that all ways are 1.4 times as long; from then on nothing.
-      Eigen::Map<Vec3>(s.value_m.data()) = (lie ? 1.4 : 1) * flown.camera(k);
-      s.sigma_m = 0.01;
+      Eigen::Map<Vec3>(s.value.data()) = (lie ? 1.4 : 1) * flown.camera(k);
+      s.sigma = 0.01;
       if (k < 400) flown.poses_.take(s);
       const FrameRecord record = flown.frame(k);
       if (!record.metric) continue;

@@ -324,11 +324,11 @@ TEST(PoseSampler, DoesNotAllocate) {
 }
 
 TEST(VelocityFit, AGapBeginsAnew) {
-  VelocityFit fit;
+  vo::VelocityFit fit;
   fit.add(0, Vec3::Zero());
   fit.add(kFrameNs, Vec3(1, 0, 0));
   EXPECT_EQ(fit.points(), 2U);
-  fit.add(kFrameNs + VelocityFit::kMaxGapNs + 1, Vec3(9, 9, 9));
+  fit.add(kFrameNs + vo::VelocityFit::kMaxGapNs + 1, Vec3(9, 9, 9));
   EXPECT_EQ(fit.points(), 1U);
 }
 

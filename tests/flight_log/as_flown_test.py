@@ -85,7 +85,7 @@ def main():
             says(godwit(2, *FLIGHT, '--as-flown', log, *masks, *option), '--as-flown: the log says what came when')
         says(godwit(2, *FLIGHT, '--as-flown', log, *masks, '--imu', 'on', '--aids', 'range'),
              'the log does not hold when which of them was heard')
-        says(godwit(2, *FLIGHT, '--aids', 'range', '--out', out), '--aids: only with --imu on')
+        says(godwit(2, *FLIGHT, '--aids', 'range', '--out', out), '--aids: without --imu on the vertical is missing')
         says(godwit(2, *FLIGHT, '--imu', 'on', '--aids', 'gps', '--out', out), 'one or more of range, baro, gnss')
 
 

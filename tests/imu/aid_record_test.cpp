@@ -16,17 +16,25 @@ TEST(AidRecord, ReadsWhatTheSimulatorWrites) {
   ASSERT_TRUE(range.ok()) << range.error().message;
   ASSERT_EQ(range.value().size(), 1u) << "no echo, no reading";
   EXPECT_EQ(range.value()[0].t_ns, 1050000000);
-  EXPECT_EQ(range.value()[0].value_m[2], 15.0);
+  EXPECT_EQ(range.value()[0].value[2], 15.0);
   const auto gnss = parse_aid(AidKind::kSatellites,
                               "t,fix,x,y,z,vx,vy,vz,sigma_m\n1,1,2,3,4,0,0,0,0.6\n2,0,0,0,0,0,0,0,0\n", "gnss.csv");
   ASSERT_TRUE(gnss.ok()) << gnss.error().message;
   ASSERT_EQ(gnss.value().size(), 1u) << "no fix, no reading";
-  EXPECT_EQ(gnss.value()[0].value_m, (std::array<double, 3>{2, 3, 4}));
-  EXPECT_EQ(gnss.value()[0].sigma_m, 0.6);
+  EXPECT_EQ(gnss.value()[0].value, (std::array<double, 3>{2, 3, 4}));
+  EXPECT_EQ(gnss.value()[0].sigma, 0.6);
   // The standard atmosphere: 89874.6 Pa at 1000 m.
+  // Yawed by a right angle and then nose up by 0.2.
+  const auto attitude = parse_aid(
+      AidKind::kAttitude, "t,qw,qx,qy,qz,off_deg\n1,0.7035741,-0.0705929,0.0705929,0.7035741,0\n", "attitude.csv");
+  ASSERT_TRUE(attitude.ok()) << attitude.error().message;
+  EXPECT_NEAR(attitude.value()[0].value[0], std::sin(0.2), 1e-6);
+  EXPECT_NEAR(attitude.value()[0].value[1], 0, 1e-6);
+  EXPECT_NEAR(attitude.value()[0].value[2], -std::cos(0.2), 1e-6);
+  EXPECT_EQ(attitude.value()[0].sigma, kAttitudeSigmaRad);
   const auto baro = parse_aid(AidKind::kBarometer, "t,pressure_pa,true_pressure_pa\n1,89874.6,0\n", "baro.csv");
   ASSERT_TRUE(baro.ok()) << baro.error().message;
-  EXPECT_NEAR(baro.value()[0].value_m[2], 1000, 0.5);
+  EXPECT_NEAR(baro.value()[0].value[2], 1000, 0.5);
 }
 
 TEST(AidRecord, WhatCannotBeReadIsNamed) {
@@ -42,6 +50,8 @@ TEST(AidRecord, WhatCannotBeReadIsNamed) {
   EXPECT_THAT(word(AidKind::kSatellites, "t,fix,x,y,z,vx,vy,vz,sigma_m\n1,1,2,3,4,0,0,0,0\n"), HasSubstr("sigma"));
   EXPECT_THAT(word(AidKind::kSatellites, "t,fix,x,y,z,vx,vy,vz,sigma_m\nsoon,1,2,3,4,0,0,0,1\n"),
               HasSubstr("not a time"));
+  EXPECT_THAT(word(AidKind::kAttitude, "t,qw,qx,qy,qz\n1,1,1,0,0\n"), HasSubstr("length 1"));
+  EXPECT_THAT(word(AidKind::kAttitude, "t,qw,qx,qy,qz\n1,nan,0,0,0\n"), HasSubstr("number 2 of the line"));
   const auto missing = read_aid_record("/nowhere", {AidKind::kRange});
   ASSERT_FALSE(missing.ok());
   EXPECT_THAT(missing.error().message, HasSubstr("/nowhere/range.csv"));
@@ -72,7 +82,7 @@ TEST(ReplayAids, NothingComesBeforeItsTimeNorBeforeTheCamera) {
   EXPECT_FALSE(aids.next_until(1099, &s));
   ASSERT_TRUE(aids.next_until(1100, &s));
   EXPECT_EQ(s.t_ns, 1100);
-  EXPECT_EQ(s.value_m[2], 5);
+  EXPECT_EQ(s.value[2], 5);
   EXPECT_FALSE(aids.next_until(1150, &s));
   EXPECT_TRUE(aids.next_until(1200, &s));
   EXPECT_FALSE(aids.next_until(9'999, &s)) << "that was all";

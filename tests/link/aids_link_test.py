@@ -6,6 +6,7 @@ what its rangefinder, barometer and receiver measure there: with them poses are 
 """
 import argparse
 import csv
+import math
 import os
 import subprocess
 import sys
@@ -35,7 +36,8 @@ class Aiding(EmulatedAutopilot):
         super().__init__()
         self.lie = lie
         self.begun = None
-        self.waiting = {name: rows(folder, name + ".csv") for name in ("range", "baro", "gnss")}
+        self.heading = 0.0
+        self.waiting = {name: rows(folder, name + ".csv") for name in ("range", "baro", "gnss", "attitude")}
         self.sent = {name: 0 for name in self.waiting}
 
     def on_message(self, m):
@@ -54,7 +56,8 @@ class Aiding(EmulatedAutopilot):
 
     def tell(self, name, row):
         t = row["t"] - START_S
-        value, off = self.lie(t, name, row["range_m" if name == "range" else "pressure_pa" if name == "baro" else "fix"])
+        key = {"range": "range_m", "baro": "pressure_pa", "gnss": "fix", "attitude": "qw"}[name]
+        value, off = self.lie(t, name, row[key])
         if value is None:
             return
         us = int((self.begun + t + off - self.boot) * 1e6)
@@ -63,6 +66,13 @@ class Aiding(EmulatedAutopilot):
             self.send(mavlink.MAVLink_distance_sensor_message(us // 1000, 20, 60000, min(65535, int(value * 100)), 0, 0, 25, 0))
         elif name == "baro":
             self.send(mavlink.MAVLink_scaled_pressure_message(us // 1000, value / 100, 0, 2000))
+        elif name == "attitude":
+            # Its heading is another one every time: nobody may use it.
+            self.heading += 0.3
+            w, z = math.cos(self.heading / 2), math.sin(self.heading / 2)
+            q = [value, row["qx"], row["qy"], row["qz"]]
+            q = [w * q[0] - z * q[3], w * q[1] - z * q[2], w * q[2] + z * q[1], w * q[3] + z * q[0]]
+            self.send(mavlink.MAVLink_attitude_quaternion_message(us // 1000, *q, 0, 0, 0))
         else:
             metre = 1 / 111194.9
             sigma = int(row["sigma_m"] * 1000)
@@ -79,18 +89,21 @@ class Aiding(EmulatedAutopilot):
             self.node.spin(0.002)
 
 
-def fly(program, scenario, seed, folder, lie=None):
+def fly(program, scenario, seed, folder, lie=None, imu="sim"):
     """What godwitd said, its exit code, the fused samples, the autopilot."""
     config, said = os.path.join(folder, "c.toml"), os.path.join(folder, "said")
-    open(config, "w").write('[camera]\nsource = "sim"\nscenario = "%s"\nseed = %d\npictures = %d\n[imu]\nsource = "sim"\n'
+    open(config, "w").write('[camera]\nsource = "sim"\nscenario = "%s"\nseed = %d\npictures = %d\n[imu]\nsource = "%s"\n'
                             '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n' %
-                            (os.path.abspath(scenario), seed, PICTURES, folder))
+                            (os.path.abspath(scenario), seed, PICTURES, imu, folder))
     sniffer, ap = Sniffer(0), Aiding(folder, lie) if lie else Aiding(folder)
     with open(said, "w") as log:
         process = subprocess.Popen([os.path.join(os.path.dirname(program), "godwitd"), "--config", config], stderr=log)
         end = time.monotonic() + 240
         while process.poll() is None and time.monotonic() < end:
             ap.spin(0.02)
+            # Without a sensor, which cannot be flown backwards, the pictures would go on, forth and back.
+            if imu == "none" and ap.begun is not None and time.monotonic() > ap.begun + PICTURES / FPS - 0.2:
+                break
         process.terminate()
         code = process.wait(timeout=20)
     ap.node.close()
@@ -157,7 +170,8 @@ def main():
             print("a rangefinder whose stamps are 2 s old, a pressure in hPa, fixes of two dimensions, from the start")
 
             def lie(t, name, value):
-                return {"range": value, "baro": value / 100, "gnss": 2 / 3}[name], (-2.0 if name == "range" else 0.0)
+                return ({"range": value, "baro": value / 100, "gnss": 2 / 3, "attitude": value}[name],
+                        -2.0 if name == "range" else 0.0)
             text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder, lie)
             check(code == 0, "flies once and ends with 0 (%s)" % code)
             check("rangefinder is heard and not used: old on arrival" in text, "says that the rangefinder's stamps are old")
@@ -165,7 +179,28 @@ def main():
             check("satellites is heard and not used: no fix in three dimensions" in text, "and that there is no fix")
             check(len(samples) > 400 and all(m.quality == -1 for _, m in samples),
                   "and nothing becomes metres that the inertial sensor alone does not show: quality -1")
-        run_cases({"heard": heard, "faults": faults, "nonsense": nonsense}, a.only)
+
+        def attitude():
+            print("no inertial sensor: the autopilot's attitude and its rangefinder")
+
+            def lie(t, name, value):
+                return (value if name in ("range", "attitude") else None), 0.0
+            text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder, lie, "none")
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            check({31, 132} <= ap.intervals.keys(), "asks for the attitude: %s" % sorted(ap.intervals))
+            for kind in ("rangefinder", "attitude"):
+                check("aids: %s of the autopilot is heard and used" % kind in text, "says that the %s is heard" % kind)
+            examine(truth, samples, ap, text)
+
+        def no_attitude():
+            print("no inertial sensor and no attitude: rangefinder, barometer and satellites alone")
+            text, code, samples, ap = fly(a.program, a.scenario, a.seed, folder,
+                                          lambda t, name, value: (None if name == "attitude" else value, 0.0), "none")
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            check(len(samples) > 400 and all(m.quality == -1 for _, m in samples),
+                  "and without a vertical there are no metres: quality -1")
+        run_cases({"heard": heard, "faults": faults, "nonsense": nonsense, "attitude": attitude, "no_attitude": no_attitude},
+                  a.only)
 
 
 if __name__ == "__main__":

@@ -326,7 +326,8 @@ def daemon(program, scenario):
         open(config, "w").write(text + 'bench_metric = true\n')
         refused = subprocess.run([godwitd, "--config", config], capture_output=True, text=True)
         check(refused.returncode == 2 and "c.toml:8: link.bench_metric" in refused.stderr, "refuses bench_metric")
-        open(config, "w").write(text + 'state_folder = "%s"\n' % folder)
+        # The autopilot here tells an attitude and a distance, too: with them there would be metres.
+        open(config, "w").write(text + 'state_folder = "%s"\n[aids]\nattitude = false\n' % folder)
         sniffer, ap = Sniffer(0), EmulatedAutopilot()
         process = subprocess.Popen([godwitd, "--config", config], stderr=subprocess.PIPE, text=True)
         end = time.monotonic() + 60

@@ -1,11 +1,16 @@
 #include "firmware_app/commands/fly_command.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <atomic>
+#include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <map>
 #include <string>
+#include <vector>
 
 #include "firmware_app/program/exit_code.h"
 #include "tests/sim/file_content.h"
@@ -88,6 +93,51 @@ TEST_F(Fly, TrueBoxesAsMasksReachTheOdometry) {
   EXPECT_NE(content(folder_ / "bare/trajectory.tum"), masked);
 }
 
+/// Places of a trajectory, or of the truth at its times, and their length [m].
+double way_of(const fs::path& trajectory, const fs::path& truth, double* true_way) {
+  std::ifstream told(trajectory), file(truth);
+  std::string line;
+  std::map<long, Eigen::Vector3d> places;
+  while (std::getline(file, line)) {
+    double t = 0;
+    Eigen::Vector3d p;
+    if (std::sscanf(line.c_str(), "%lf %lf %lf %lf", &t, &p.x(), &p.y(), &p.z()) == 4) places[std::lround(t * 200)] = p;
+  }
+  std::vector<Eigen::Vector3d> way, flown;
+  while (std::getline(told, line)) {
+    double t = 0;
+    Eigen::Vector3d p;
+    if (std::sscanf(line.c_str(), "%lf %lf %lf %lf", &t, &p.x(), &p.y(), &p.z()) != 4) continue;
+    way.push_back(p);
+    flown.push_back(places.at(std::lround(t * 200)));
+  }
+  *true_way = flown.empty() ? 0 : (flown.back() - flown.front()).norm();
+  return way.empty() ? 0 : (way.back() - way.front()).norm();
+}
+
+TEST_F(Fly, AnAutopilotsAttitudeAndARangefinderMakeMetresWithoutAnInertialSensor) {
+  arguments_.run.start = 0;
+  arguments_.run.frames = 0;
+  arguments_.run.aids = "range,attitude";
+  ASSERT_EQ(run("metres"), kExitDone);
+  double true_way = 0;
+  const double way = way_of(folder_ / "metres/trajectory.tum", folder_ / "metres/groundtruth.txt", &true_way);
+  ASSERT_GT(true_way, 5) << "most of the flight";
+  EXPECT_NEAR(way / true_way, 1, 0.2) << "over ground with houses on it";
+  const std::string summary = content(folder_ / "metres/summary.json");
+  EXPECT_NE(summary.find("\"starting_height\": 0.0"), std::string::npos) << summary;
+  EXPECT_NE(content(folder_ / "metres/frames.csv").find("waiting for the autopilot's attitude"), std::string::npos);
+
+  // A vertical alone is no scale.
+  arguments_.run.aids = "attitude";
+  ASSERT_EQ(run("nothing"), kExitDone);
+  const std::string trajectory = content(folder_ / "nothing/trajectory.tum");
+  EXPECT_EQ(std::count(trajectory.begin(), trajectory.end(), '\n'), 1);
+  EXPECT_NE(content(folder_ / "nothing/frames.csv").find("nobody tells the scale well enough"), std::string::npos);
+  arguments_.run.aids = "range";
+  EXPECT_EQ(run("refused"), kExitRefused) << "and a length without a vertical is none";
+}
+
 TEST_F(Fly, OtherSensorsLieBesideTheFlight) {
   arguments_.run.frames = 2;
   ASSERT_EQ(run("a"), kExitDone);
@@ -100,6 +150,7 @@ TEST_F(Fly, OtherSensorsLieBesideTheFlight) {
   EXPECT_EQ(lines("range.csv"), 8 * 20 + 2);
   EXPECT_EQ(lines("gnss.csv"), 8 * 5 + 2);
   EXPECT_EQ(lines("baro.csv"), 8 * 25 + 2);
+  EXPECT_EQ(lines("attitude.csv"), 8 * 10 + 2);
   // Readings stay near what an ideal sensor would have read: noise and start bias only.
   std::ifstream imu(folder_ / "a/imu.csv");
   std::string line;

@@ -91,6 +91,11 @@ TEST_F(ScenarioFile, SensorFaultsAreKeysAndAbsentByDefault) {
   EXPECT_EQ(read.value().baro.rate_hz, 50);
   EXPECT_EQ(read.value().baro.noise_pa, 3);
   EXPECT_EQ(read.value().baro.delay_ms, 40);
+  const rt::Result<Scenario> leaning = read_scenario(write(leg_ + "[attitude]\nrate_hz = 20\nwander_deg = 3\n"));
+  ASSERT_TRUE(leaning.ok()) << leaning.error().message;
+  EXPECT_EQ(leaning.value().attitude.rate_hz, 20);
+  EXPECT_EQ(leaning.value().attitude.wander_deg, 3);
+  EXPECT_THAT(error(leg_ + "[attitude]\nwander = 5\n"), HasSubstr("attitude.wander: is unknown"));
   EXPECT_THAT(error(leg_ + "[imu]\ndelay_ms = -1\n"), HasSubstr("imu.delay_ms: -1 is out of range; allowed: 0 to 50"));
   EXPECT_THAT(error(leg_ + "[baro]\nrate = 5\n"), HasSubstr("baro.rate: is unknown"));
 }

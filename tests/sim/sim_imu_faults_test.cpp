@@ -1,10 +1,12 @@
-// The inertial sensor's faults, each alone against the truth of the trajectory; and the barometer.
+// The inertial sensor's faults, each alone against the truth of the trajectory; the barometer, and an autopilot's
+// attitude.
 #include <Eigen/Geometry>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <numbers>
 #include <vector>
 
+#include "hal/sim/flight/sim_attitude.h"
 #include "hal/sim/flight/sim_baro.h"
 #include "hal/sim/sensors/sim_imu.h"
 #include "tests/sim/test_scenario.h"
@@ -173,6 +175,35 @@ TEST(SimBarometer, TellsHeightsWithTheErrorsOfItsPlan) {
   EXPECT_NEAR(standard_pressure_pa(0) - standard_pressure_pa(1), 12.0, 0.1);
   scenario.baro.present = false;
   EXPECT_EQ(Flight(scenario, 1).barometer(0), nullptr);
+}
+
+TEST(SimAttitude, LeansSlowlyAsItsPlanSays) {
+  Scenario scenario = test::scenario("take-off-and-land");
+  scenario.attitude.noise_deg = 0;
+  scenario.attitude.wander_deg = 2;
+  scenario.attitude.wander_s = 2;
+  const Flight flight(scenario, 1);
+  SimAttitude attitude(flight, 7000), again(flight, 7000);
+  AttitudeSample s, same;
+  double squared = 0, last = 0;
+  int n = 0;
+  for (; attitude.next(&s); ++n) {
+    ASSERT_TRUE(again.next(&same));
+    EXPECT_EQ(s.q_ned_body, same.q_ned_body);
+    const double t = rt::to_seconds(s.t_ns - 7000);
+    const auto& q = s.q_ned_body;
+    const Mat3 R = Eigen::Quaterniond(q[0], q[1], q[2], q[3]).toRotationMatrix();
+    const Vec3 down = R.row(2), true_down = -flight.trajectory().at(t).R_world_body.row(2);
+    const double off = std::atan2(down.cross(true_down).norm(), down.dot(true_down)) * 180 / std::numbers::pi;
+    EXPECT_NEAR(off, attitude.off_deg(), 1e-3);
+    if (n > 0) {
+      EXPECT_LT(std::abs(off - last), 5 * 2 * std::sqrt(2 * 0.1 / 2)) << "it does not jump";
+    }
+    last = off;
+    squared += off * off / 2;  // roll and pitch
+  }
+  EXPECT_EQ(n, static_cast<int>(flight.duration_s() * scenario.attitude.rate_hz) + 1);
+  EXPECT_NEAR(std::sqrt(squared / n), 2, 0.7);
 }
 
 TEST(SimBarometer, SeesSpeedWeatherAndLagWhereItsPlanSaysSo) {

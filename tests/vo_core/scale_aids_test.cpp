@@ -154,6 +154,53 @@ TEST(ScaleAids, ANewMapIsAskedAnewAndAMapThatIsCorrectedIsNot) {
   EXPECT_EQ(g.aids_.state().count(ScaleSource::kSatellites, ScaleVerdict::kGated), 0u);
 }
 
+AidReading starting_height(double metres) {
+  AidReading r;
+  r.source = ScaleSource::kStartHeight;
+  r.value_m.z() = metres;
+  return r;
+}
+
+TEST(ScaleAids, AConfiguredHeightCountsOnceAndForWhereTheFirstMapBegan) {
+  Flown f(4);
+  ASSERT_TRUE(f.aids_.take(starting_height(10)));
+  // The vertical comes late: by then it has climbed to 14 m.
+  f.level_ = false;
+  for (int k = 0; k < 40; ++k) f.picture(k / 20.0);
+  EXPECT_EQ(f.aids_.state().count(ScaleSource::kStartHeight, ScaleVerdict::kUsed), 0u);
+  f.level_ = true;
+  for (int k = 40; k < 400; ++k) f.picture(k / 20.0);
+  EXPECT_EQ(f.aids_.state().count(ScaleSource::kStartHeight, ScaleVerdict::kUsed), 1u);
+  EXPECT_LT(f.off(), 0.02);
+  EXPECT_LT(f.aids_.state().log_sigma(), 0.2);
+
+  EXPECT_FALSE(f.aids_.take(starting_height(10))) << "that is over";
+  EXPECT_FALSE(Flown(1).aids_.take(starting_height(0)));
+  EXPECT_FALSE(Flown(1).aids_.take(starting_height(std::numeric_limits<double>::quiet_NaN())));
+}
+
+TEST(ScaleAids, WhereAnotherMapBeginsOrAVerticalComesTooLateAConfiguredHeightSaysNothing) {
+  Flown another(5);
+  ASSERT_TRUE(another.aids_.take(starting_height(10)));
+  another.level_ = false;
+  another.picture(0);
+  AidPose lost;
+  lost.t_ns = 11 * rt::kNsPerSecond;
+  lost.map_id = 2;
+  another.aids_.pose(lost);
+  another.level_ = true;
+  for (int k = 40; k < 80; ++k) another.picture(k / 20.0);
+  EXPECT_EQ(another.aids_.state().count(ScaleSource::kStartHeight, ScaleVerdict::kUsed), 0u);
+
+  Flown late(6);
+  ASSERT_TRUE(late.aids_.take(starting_height(10)));
+  late.level_ = false;
+  for (int k = 0; k < 640; ++k) late.picture(k / 20.0);
+  late.level_ = true;
+  for (int k = 640; k < 700; ++k) late.picture(k / 20.0);
+  EXPECT_EQ(late.aids_.state().count(ScaleSource::kStartHeight, ScaleVerdict::kUsed), 0u);
+}
+
 TEST(ScaleAids, WhatIsNoNumberOrOutOfOrderIsPassedOver) {
   Flown f(1);
   AidReading r;

@@ -4,8 +4,15 @@
 #include <cmath>
 
 namespace godwit::vo {
+bool ScaleAids::take_start(const AidReading& r) {
+  if (map_id_ != 0 || !(r.value_m.z() > 0)) return false;
+  start_ = {true, 0, r.value_m, Vec3::Zero(), r.sigma_m};
+  return true;
+}
+
 bool ScaleAids::take(const AidReading& r) {
   const bool number = r.value_m.allFinite() && std::isfinite(r.sigma_m) && r.sigma_m >= 0;
+  if (number && r.source == ScaleSource::kStartHeight) return take_start(r);
   rt::TimeNs* const t_last_ns = &t_read_ns_[scale_source_index(r.source)];
   if (!number || r.t_ns <= *t_last_ns || waiting_count_ == kWaiting) return false;
   *t_last_ns = r.t_ns;
@@ -35,6 +42,10 @@ void ScaleAids::keep_place(const AidPose& pose) {
 
 void ScaleAids::pose(const AidPose& pose) {
   if (pose.map_id != map_id_) {
+    // The height is that of the first map's beginning; where another one begins nobody said.
+    start_.set = start_.set && map_id_ == 0;
+    start_.t_ns = pose.t_ns;
+    start_.camera = pose.camera;
     map_id_ = pose.map_id;
     state_.new_map();
     moments_ = {};
@@ -53,6 +64,7 @@ void ScaleAids::pose(const AidPose& pose) {
     if (camera_at(r.t_ns, &camera)) compare(r, pose, camera);
   }
   waiting_count_ = kept;
+  above_start(pose);
   state_.advance(pose.t_ns);
   t_told_ns_ = std::max(t_told_ns_, pose.t_ns);
 }
@@ -102,29 +114,44 @@ bool ScaleAids::lengths(const AidReading& r, const AidPose& pose, const Vec3& ca
   return out->metres_sigma < share * metres && out->units_sigma < share * std::abs(out->units);
 }
 
-void ScaleAids::above_ground(const AidReading& r, const AidPose& pose, const Vec3& camera) {
-  const double down = -pose.up.dot(pose.beam);
-  const std::size_t n = pose.points.size();
-  if (r.t_ns - t_ground_ns_ < options_.ground_ns || pose.up.isZero() ||
-      std::ssize(pose.points) < options_.ground_points)
-    return;
-  // A beam that lies flatter than this meets a wall as soon as the ground.
-  if (!(down > 0.8)) return;
+bool ScaleAids::height_above_ground(const AidPose& pose, const Vec3& camera, double* units) const {
+  if (pose.up.isZero() || std::ssize(pose.points) < options_.ground_points) return false;
   std::array<double, 64> below{};
-  const std::size_t count = std::min(n, below.size());
+  const std::size_t count = std::min(pose.points.size(), below.size());
   for (std::size_t i = 0; i < count; ++i) below[i] = pose.up.dot(camera - pose.points[i].cast<double>());
   const auto place =
       below.begin() + static_cast<std::ptrdiff_t>(options_.ground_quantile * static_cast<double>(count - 1));
   std::nth_element(below.begin(), place, below.begin() + static_cast<std::ptrdiff_t>(count));
+  *units = *place;
+  return true;
+}
+
+void ScaleAids::above_ground(const AidReading& r, const AidPose& pose, const Vec3& camera) {
+  const double down = -pose.up.dot(pose.beam);
+  // A beam that lies flatter than this meets a wall as soon as the ground.
+  double units = 0;
+  if (r.t_ns - t_ground_ns_ < options_.ground_ns || !(down > 0.8) || !height_above_ground(pose, camera, &units)) return;
   t_ground_ns_ = r.t_ns;
   t_told_ns_ = std::max(r.t_ns, t_told_ns_);
-  state_.take({ScaleSource::kRange, t_told_ns_, down * r.value_m.z(), r.sigma_m, *place,
-               options_.ground_share * std::abs(*place)});
+  state_.take({ScaleSource::kRange, t_told_ns_, down * r.value_m.z(), r.sigma_m, units,
+               options_.ground_share * std::abs(units)});
+}
+
+void ScaleAids::above_start(const AidPose& pose) {
+  double units = 0;
+  if (!start_.set || !height_above_ground(pose, start_.camera, &units)) return;
+  start_.set = false;
+  // By then other ground is below.
+  if (pose.t_ns - start_.t_ns > options_.longest_ns) return;
+  t_told_ns_ = std::max(pose.t_ns, t_told_ns_);
+  state_.take({ScaleSource::kStartHeight, t_told_ns_, start_.value_m.z(), start_.sigma_m, units,
+               options_.ground_share * std::abs(units)});
 }
 
 void ScaleAids::move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift) {
   const auto move = [&](Vec3* p) { *p = pivot + turn * (*p - pivot) + shift; };
   for (Moment& m : moments_) move(&m.camera);
+  move(&start_.camera);
   for (std::size_t i = 0; i < place_count_; ++i) move(&places_[i].camera);
 }
 

@@ -16,7 +16,8 @@ struct AidReading {
   ScaleSource source = ScaleSource::kRange;
   rt::TimeNs t_ns = 0;
   /// Satellites: place in a frame with z up that the source keeps. Barometer: z, height above anything that stays.
-  /// Rangefinder: z, distance along the beam. [m]
+  /// Rangefinder: z, distance along the beam. Starting height: z, of the camera above flat ground where the first map
+  /// begins; told before it does. [m]
   Vec3 value_m = Vec3::Zero();
   double sigma_m = 0;  ///< one sigma of an axis
 };
@@ -81,6 +82,11 @@ class ScaleAids {
   };
   static constexpr std::size_t kWaiting = 32, kPlaces = 32;
 
+  bool take_start(const AidReading& reading);
+  /// How far what the picture shows lies below a place of the camera, by its lowest points [map units]. False: the
+  /// vertical is not known, or too few are seen.
+  bool height_above_ground(const AidPose& pose, const Vec3& camera, double* units) const;
+  void above_start(const AidPose& pose);
   /// Where the camera was; false: no two poses are near enough around that time.
   bool camera_at(rt::TimeNs t_ns, Vec3* camera) const;
   void keep_place(const AidPose& pose);
@@ -96,6 +102,8 @@ class ScaleAids {
   std::array<rt::TimeNs, kScaleSources> t_read_ns_{};
   std::array<Moment, kScaleSources> moments_;
   rt::TimeNs t_ground_ns_ = 0;
+  /// The configured height above ground, until it was compared; where the first map began.
+  Moment start_;
   std::uint32_t map_id_ = 0;
   std::array<Place, kPlaces> places_;  ///< of the last poses of this map, oldest first
   std::size_t place_count_ = 0;

@@ -11,7 +11,9 @@ namespace godwit::hal {
 namespace {
 
 constexpr std::array<const char*, kAidKinds> kColumns = {"t,range_m,valid", "t,pressure_pa",
-                                                         "t,fix,x,y,z,vx,vy,vz,sigma_m"};
+                                                         "t,fix,x,y,z,vx,vy,vz,sigma_m", "t,qw,qx,qy,qz"};
+
+constexpr double kUnitTolerance = 1e-3;  // four digits will do
 
 /// The next number of a line.
 bool take_number(std::string_view* line, double* value) {
@@ -24,7 +26,7 @@ bool take_number(std::string_view* line, double* value) {
 /// What is wrong with the rest of a line; empty: nothing. *holds: there is a reading in it.
 std::string read_rest(AidKind kind, std::string_view line, AidSample* s, bool* holds) {
   std::array<double, 8> v{};
-  constexpr std::array<std::size_t, kAidKinds> kNumbers = {2, 1, 8};
+  constexpr std::array<std::size_t, kAidKinds> kNumbers = {2, 1, 8, 4};
   const std::size_t n = kNumbers[static_cast<std::size_t>(kind)];
   for (std::size_t i = 0; i < n; ++i) {
     if (!take_number(&line, &v[i])) return "number " + std::to_string(i + 2) + " of the line is none";
@@ -32,21 +34,28 @@ std::string read_rest(AidKind kind, std::string_view line, AidSample* s, bool* h
   switch (kind) {
     case AidKind::kRange:
       *holds = v[1] != 0;
-      s->value_m[2] = v[0];
-      s->sigma_m = kRangeSigmaM;
+      s->value[2] = v[0];
+      s->sigma = kRangeSigmaM;
       if (*holds && !(v[0] > 0)) return "a distance is above 0 m";
       break;
     case AidKind::kBarometer:
       *holds = true;
       if (!(v[0] > kLeastPressurePa && v[0] < kMostPressurePa)) return "no air that flies has that pressure [Pa]";
-      s->value_m[2] = pressure_height_m(v[0]);
-      s->sigma_m = kPressureSigmaM;
+      s->value[2] = pressure_height_m(v[0]);
+      s->sigma = kPressureSigmaM;
       break;
     case AidKind::kSatellites:
       *holds = v[0] != 0;
-      s->value_m = {v[1], v[2], v[3]};
-      s->sigma_m = v[7];
+      s->value = {v[1], v[2], v[3]};
+      s->sigma = v[7];
       if (*holds && !(v[7] > 0)) return "a sigma is above 0 m";
+      break;
+    case AidKind::kAttitude:
+      *holds = true;
+      s->value = up_of_attitude({v[0], v[1], v[2], v[3]});
+      s->sigma = kAttitudeSigmaRad;
+      if (!(std::abs(std::hypot(std::hypot(v[0], v[1]), std::hypot(v[2], v[3])) - 1) < kUnitTolerance))
+        return "a quaternion of an attitude has length 1";
       break;
   }
   return {};
@@ -106,7 +115,8 @@ rt::Result<std::vector<AidKind>> parse_aid_kinds(std::string_view list) {
     const std::string_view word = take_field(&list, ',');
     int i = 0;
     while (i < kAidKinds && word != aid_name(static_cast<AidKind>(i))) ++i;
-    if (i == kAidKinds) return rt::Error{quoted(word) + ": one or more of range, baro, gnss, with commas between"};
+    if (i == kAidKinds)
+      return rt::Error{quoted(word) + ": one or more of range, baro, gnss, attitude, with commas between"};
     const AidKind kind = static_cast<AidKind>(i);
     if (std::find(kinds.begin(), kinds.end(), kind) != kinds.end())
       return rt::Error{quoted(word) + " stands there twice"};

@@ -1,5 +1,5 @@
-// What rangefinder, barometer and satellites said during a recording: range.csv, baro.csv and gnss.csv, as `godwit sim`
-// and `godwit fly` write them. Pure functions over text.
+// What rangefinder, barometer, satellites and an autopilot's attitude said during a recording: range.csv, baro.csv,
+// gnss.csv and attitude.csv, as `godwit sim` and `godwit fly` write them. Pure functions over text.
 #pragma once
 
 #include <string>
@@ -21,12 +21,12 @@ const char* aid_columns(AidKind kind);
 rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name,
                                 std::string* cut_off = nullptr);
 
-/// Reads FOLDER/range.csv, baro.csv or gnss.csv for each kind wanted. Error: one is not there, or as above. *cut_off: a
-/// line for each that breaks off. Blocks.
+/// Reads FOLDER/range.csv, baro.csv, gnss.csv or attitude.csv for each kind wanted. Error: one is not there, or as
+/// above. *cut_off: a line for each that breaks off. Blocks.
 rt::Result<AidRecord> read_aid_record(const std::string& folder, const std::vector<AidKind>& kinds,
                                       std::vector<std::string>* cut_off = nullptr);
 
-/// "range,baro,gnss", or some of them. Error: another word, or one twice.
+/// "range,baro,gnss,attitude", or some of them. Error: another word, or one twice.
 rt::Result<std::vector<AidKind>> parse_aid_kinds(std::string_view list);
 
 }  // namespace godwit::hal

@@ -1,4 +1,5 @@
-// Recorded rangefinder, barometer and satellites as an AidSource: at the times that the recording's camera sets.
+// Recorded rangefinder, barometer, satellites and attitude as an AidSource: at the times that the recording's camera
+// sets.
 #pragma once
 
 #include <cstddef>

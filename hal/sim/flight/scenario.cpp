@@ -178,6 +178,14 @@ void read_baro(Section s, BaroPlan* b) {
   s.finish();
 }
 
+void read_attitude(Section s, AttitudePlan* a) {
+  s.real("rate_hz", 0.5, 200, &a->rate_hz);
+  s.real("wander_deg", 0, 30, &a->wander_deg);
+  s.real("wander_s", 0.1, 1e4, &a->wander_s);
+  s.real("noise_deg", 0, 10, &a->noise_deg);
+  s.finish();
+}
+
 void read_range(Section s, RangePlan* r) {
   s.flag("present", &r->present);
   s.real("rate_hz", 1, 1000, &r->rate_hz);
@@ -227,6 +235,7 @@ rt::Result<Scenario> read_scenario(const std::filesystem::path& file) {
   read_imu(root.table("imu"), &out.imu);
   read_range(root.table("range"), &out.range);
   read_baro(root.table("baro"), &out.baro);
+  read_attitude(root.table("attitude"), &out.attitude);
   Section gnss = root.table("gnss");
   gnss.flag("present", &out.gnss.present);
   gnss.real("rate_hz", 0.1, 50, &out.gnss.rate_hz);

@@ -56,6 +56,14 @@ struct BaroPlan {
   double delay_ms = 0;                    ///< first-order lag of tube and filter
 };
 
+/// What the autopilot says of its attitude. It leans with what it takes for gravity: a degree, for as long as a turn
+/// lasts.
+struct AttitudePlan {
+  double rate_hz = 10;
+  double wander_deg = 1, wander_s = 20;  ///< one sigma of an axis, and how fast it is forgotten
+  double noise_deg = 0.1;
+};
+
 struct Scenario {
   std::string name, title;
   double max_duration_s = 1e9;
@@ -66,6 +74,7 @@ struct Scenario {
   ImuModel imu;
   RangePlan range;
   BaroPlan baro;
+  AttitudePlan attitude;
   GnssPlan gnss;
   CameraFaults faults;
 };

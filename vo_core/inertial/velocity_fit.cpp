@@ -1,10 +1,10 @@
-#include "firmware_app/autopilot/velocity_fit.h"
+#include "vo_core/inertial/velocity_fit.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cassert>
 
-namespace godwit::app {
+namespace godwit::vo {
 namespace {
 constexpr double kUnitS = 0.1;  // times near 1 keep the equations well conditioned
 constexpr double kSharedError = 0.1;
@@ -60,4 +60,4 @@ VelocityFit::Estimate VelocityFit::at(rt::TimeNs t_ns, double sigma) const {
   return out;
 }
 
-}  // namespace godwit::app
+}  // namespace godwit::vo

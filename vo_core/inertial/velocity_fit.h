@@ -7,7 +7,7 @@
 
 #include "hal/rt/time.h"
 
-namespace godwit::app {
+namespace godwit::vo {
 
 /// Least-squares parabola through the newest positions (a line through two or three of them). A parabola, because a
 /// line's slope is that of its middle, which lies 80 ms back. One thread, no allocation.
@@ -44,4 +44,4 @@ class VelocityFit {
   std::size_t count_ = 0;
 };
 
-}  // namespace godwit::app
+}  // namespace godwit::vo
