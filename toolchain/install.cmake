@@ -1,5 +1,5 @@
 # What `cmake --install` puts where. Components: programs (with unit, configuration, manual), models, scenarios, tools (what
-# looks at runs and makes sequences, for a desk: Python with numpy and matplotlib, so in no package of the target).
+# looks at runs and makes sequences, for a desk: Python with numpy and matplotlib, so a package of its own).
 #   cmake --install build/release --strip --prefix DIR [--component NAME]
 include(GNUInstallDirs)
 
@@ -55,6 +55,9 @@ foreach(tool godwit-report evaluate from_kitti from_video)
   file(CREATE_LINK ${from_programs}/tools/${tool} ${PROJECT_BINARY_DIR}/tools/${name} SYMBOLIC)
   install(FILES ${PROJECT_BINARY_DIR}/tools/${name} DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)
 endforeach()
+# docs/ in what programs, manual and configuration say.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit COMPONENT programs FILES_MATCHING
+        PATTERN "*.md" PATTERN pictures EXCLUDE)
 # An administrator's file: the defaults, every key explained.
 install(FILES ${PROJECT_SOURCE_DIR}/config/godwit.toml DESTINATION ${CMAKE_INSTALL_SYSCONFDIR}/godwit
         COMPONENT programs)

@@ -1,5 +1,5 @@
-# The Debian packages, by cpack: godwit (programs, unit, configuration, manual, scenarios) and godwit-models (the networks,
-# which are under another licence). What is installed where is in install.cmake; scripts/package builds both for arm64 and amd64.
+# The Debian packages, by cpack: godwit (programs, unit, configuration, manual, scenarios), godwit-models (the networks, which are
+# under another licence) and godwit-tools (what looks at runs and makes sequences, in Python). What is installed where is in install.cmake; scripts/package builds both for arm64 and amd64.
 set(deb ${PROJECT_SOURCE_DIR}/toolchain/deb)
 set(made ${PROJECT_BINARY_DIR}/deb)
 file(MAKE_DIRECTORY ${made})
@@ -19,8 +19,11 @@ execute_process(COMMAND gzip -9nkf ${made}/changelog COMMAND_ERROR_IS_FATAL ANY)
 file(RENAME ${made}/changelog.gz ${made}/changelog.Debian.gz)
 install(FILES ${made}/changelog.Debian.gz ${made}/godwit.spdx.json ${deb}/copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit
         COMPONENT programs)
-install(FILES ${made}/changelog.Debian.gz DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models COMPONENT models)
-install(FILES ${deb}/copyright_models DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/godwit-models RENAME copyright COMPONENT models)
+foreach(part models tools)
+  set(documents ${CMAKE_INSTALL_DATADIR}/doc/godwit-${part})
+  install(FILES ${made}/changelog.Debian.gz DESTINATION ${documents} COMPONENT ${part})
+  install(FILES ${deb}/copyright_${part} DESTINATION ${documents} RENAME copyright COMPONENT ${part})
+endforeach()
 install(FILES ${deb}/lintian_overrides DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME godwit COMPONENT programs)
 # After the rules of firmware_app, which put the pages there.
 install(CODE "file(GLOB pages \"\$ENV{DESTDIR}${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_MANDIR}/man*/*.[1-9]\")
@@ -30,8 +33,14 @@ execute_process(COMMAND gzip -9nf \${pages} COMMAND_ERROR_IS_FATAL ANY)" COMPONE
 set(control ${deb}/postinst ${deb}/prerm ${deb}/postrm)
 file(WRITE ${made}/conffiles "/etc/godwit/godwit.toml\n")
 list(APPEND control ${made}/conffiles)
-if(GODWIT_MARCH MATCHES "fp16")
+# A processor that lacks what the programs are compiled for is told so, and gets none.
+file(REMOVE ${made}/preinst)
+if(architecture STREQUAL "amd64")
+  configure_file(${deb}/preinst_amd64 ${made}/preinst COPYONLY)
+elseif(GODWIT_MARCH MATCHES "fp16")
   configure_file(${deb}/preinst_jetson ${made}/preinst COPYONLY)
+endif()
+if(EXISTS ${made}/preinst)
   list(APPEND control ${made}/preinst)
 endif()
 
@@ -46,7 +55,7 @@ set(CPACK_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_COMPONENTS_GROUPING ONE_PER_GROUP)
-set(CPACK_COMPONENTS_ALL programs scenarios models)
+set(CPACK_COMPONENTS_ALL programs scenarios models tools)
 set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
     OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
@@ -65,6 +74,7 @@ A camera frame goes in; a few milliseconds later a pose with its uncertainty
 goes out to the autopilot. The daemon godwitd flies; the tool godwit replays,
 simulates and looks at the machine.")
 set(CPACK_DEBIAN_PROGRAMS_PACKAGE_RECOMMENDS "godwit-models")
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_SUGGESTS "godwit-tools")
 if(architecture STREQUAL "arm64")
   # There is no dpkg-shlibdeps for another architecture: this file asks toolchain/deb/depends, when cpack runs.
   file(WRITE ${made}/depends.cmake "execute_process(COMMAND ${deb}/depends
@@ -80,11 +90,24 @@ set(CPACK_DEBIAN_MODELS_PACKAGE_ARCHITECTURE all)
 set(CPACK_DEBIAN_MODELS_PACKAGE_SECTION misc)
 set(CPACK_DEBIAN_MODELS_PACKAGE_PRIORITY optional)
 set(CPACK_DEBIAN_MODELS_DESCRIPTION "networks by which godwit finds what may move
-Two CBAM-YOLOv5 networks in ONNX, of 320 and 416 pixels. Their licence is
-another one than that of the programs.")
+Three CBAM-YOLOv5 networks in ONNX, of 320 x 320, 416 x 416 and 480 x 352
+pixels. Their licence is another one than that of the programs.")
+
+set(CPACK_DEBIAN_TOOLS_PACKAGE_NAME godwit-tools)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_ARCHITECTURE all)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_SECTION misc)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_PRIORITY optional)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_DEPENDS
+    "python3, python3-matplotlib, python3-numpy, python3-opencv, python3-pil, python3-yaml")
+set(CPACK_DEBIAN_TOOLS_DESCRIPTION "reports of godwit's runs, and sequences out of videos
+godwit-report and godwit-evaluate look at what godwit flew; godwit-from-video
+and godwit-from-kitti make sequences that it flies, and godwit replay runs
+them by itself.")
 include(CPack)
 cpack_add_component_group(programs)
 cpack_add_component_group(models)
+cpack_add_component_group(tools)
 cpack_add_component(programs GROUP programs)
 cpack_add_component(scenarios GROUP programs)
 cpack_add_component(models GROUP models)
+cpack_add_component(tools GROUP tools)

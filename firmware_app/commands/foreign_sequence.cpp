@@ -28,6 +28,9 @@ bool is_kitti(const fs::path& folder) {
 rt::Result<void> run_tool(const std::string& name, const std::vector<std::string>& arguments,
                           const std::atomic<bool>& stop) {
   const std::string program = hal::installed_data("tools") + "/" + name;
+  std::error_code ignored;
+  if (!fs::exists(program, ignored))
+    return rt::Error{program + ": is not there: install the package godwit-tools (docs/service.md)"};
   std::vector<std::string> words{program};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<char*> argv;

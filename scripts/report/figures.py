@@ -64,7 +64,7 @@ def value_of(key, run, judged):
     if key.startswith('judged.'):
         if judged is None:
             return None
-        key = key.removeprefix('judged.')
+        key = key[len('judged.'):]
         if key == 'false_sure':
             return int(judged.false_sure.sum())
         value = judged.figures.get(key)

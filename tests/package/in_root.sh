@@ -28,6 +28,11 @@ if godwit calibrate camera /tmp/seen --board aprilgrid:6x6:0.088:0.3 >/tmp/calib
 grep -q 'the board was found in 0 pictures' /tmp/calibrate.log || { cat /tmp/calibrate.log; fail "godwit calibrate camera"; }
 say "godwit calibrate camera looks for boards"
 
+# The tools, where their package is among those installed.
+for tool in report evaluate from-video from-kitti; do
+  if dpkg-query -W godwit-tools >/dev/null 2>&1; then godwit-$tool --help >/tmp/tool.log 2>&1 || { cat /tmp/tool.log; fail "godwit-$tool"; }; fi
+done
+
 # The daemon in the foreground: it flies the simulated camera until it is told to end.
 printf '[camera]\nsource = "sim"\nscenario = "street"\npictures = 2\n[detector]\nenabled = false\n' >/tmp/sim.toml
 godwitd --config /tmp/sim.toml >/tmp/daemon.log 2>&1 &
@@ -54,14 +59,19 @@ say "upgraded to $new, $config kept"
 grep -q 'changed by hand' $config || fail "the roll back has overwritten $config"
 say "rolled back to $old, $config kept"
 
-mkdir -p /var/lib/godwit && touch /var/lib/godwit/parameters
+state=/var/lib/godwit
+mkdir -p $state/flights $state/events/000001
+touch $state/lock $state/link_parameters.txt $state/link_reset_counter.txt $state/flights/000001.ulg $state/events/000001/imu.csv
 dpkg --remove godwit >/dev/null
-[ ! -e /usr/bin/godwitd ] && [ -e $config ] && [ -e /var/lib/godwit/parameters ] || fail "removed: programs must go, $config and state stay"
+[ ! -e /usr/bin/godwitd ] && [ -e $config ] && [ -e $state/link_parameters.txt ] || fail "removed: programs must go, $config and state stay"
 say "removed"
-dpkg --purge godwit godwit-models >/dev/null
+dpkg --purge $(dpkg-query -W -f '${Package} ' godwit 'godwit-*') >/dev/null
+for path in flights/000001.ulg events/000001/imu.csv; do
+  [ -e $state/$path ] || fail "purged, and with it what is the operator's: $state/$path"
+done
 left=
-for path in $config /var/lib/godwit /usr/share/godwit /usr/share/doc/godwit; do
+for path in $config $state/lock $state/link_parameters.txt $state/link_reset_counter.txt /usr/share/godwit /usr/share/doc/godwit; do
   [ ! -e "$path" ] || left="$left $path"
 done
 [ -z "$left" ] || fail "purged, and something is left: $left"
-say "purged; nothing is left"
+say "purged; nothing is left but flights and events"

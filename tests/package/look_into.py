@@ -7,6 +7,7 @@ Fails where a shipped program or library
  - asks for a newer C library than that of the oldest system it is meant for (arm64: JetPack 5, glibc 2.31), or on arm64 for
    any version of libstdc++, which it is to bring along;
  - wants a library that is neither in the package nor in a package of its Depends;
+ - is bound symbol by symbol in flight (no -z now);
 where Depends has a name that Ubuntu 20.04 and Debian 12 do not both have, where a file under /etc is no conffile, where a file
 that belongs into the package is not there, or where lintian finds an error.
 """
@@ -20,21 +21,26 @@ import tempfile
 # Highest symbol versions: glibc 2.31 and systemd 245 are those of Ubuntu 20.04; amd64 is for Debian 12.
 LIMITS = {'arm64': {'GLIBC': (2, 31), 'GCC': (10,), 'LIBSYSTEMD': (245,)},
           'amd64': {'GLIBC': (2, 36), 'GLIBCXX': (3, 4, 30), 'CXXABI': (1, 3, 13), 'GCC': (12,), 'LIBSYSTEMD': (252,)}}
-# What each of the two packages must hold.
+# What each of the packages must hold.
 CONTENT = {
     'godwit': [
         '/etc/godwit/godwit.toml', '/usr/bin/godwit', '/usr/bin/godwitd', '/usr/lib/systemd/system/godwitd.service',
         '/usr/lib/systemd/network/80-godwit-can0.network', '/usr/lib/sysusers.d/godwit.conf', '/usr/lib/udev/rules.d/80-godwit.rules',
         '/usr/share/bash-completion/completions/godwit', '/usr/share/doc/godwit/changelog.Debian.gz',
-        '/usr/share/doc/godwit/copyright', '/usr/share/doc/godwit/godwit.spdx.json', '/usr/share/godwit/godwit.dbc',
+        '/usr/share/doc/godwit/copyright', '/usr/share/doc/godwit/devices.md', '/usr/share/doc/godwit/godwit.spdx.json', '/usr/share/godwit/godwit.dbc',
         '/usr/share/godwit/plotjuggler.xml', '/usr/share/godwit/scenarios/street.toml',
         '/usr/share/man/man1/godwit.1.gz', '/usr/share/man/man8/godwitd.8.gz'],
+    'godwit-tools': [
+        '/usr/share/doc/godwit-tools/copyright', '/usr/share/godwit/tools/evaluate', '/usr/share/godwit/tools/from_kitti',
+        '/usr/share/godwit/tools/from_video', '/usr/share/godwit/tools/godwit-report', '/usr/share/godwit/tools/report/page.py'],
     'godwit-models': [
         '/usr/share/doc/godwit-models/copyright', '/usr/share/godwit/models/README.md',
         '/usr/share/godwit/models/cbam_yolov5n_320.onnx', '/usr/share/godwit/models/cbam_yolov5n_320.toml',
         '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml',
         '/usr/share/godwit/models/cbam_yolov5n_480x352.onnx', '/usr/share/godwit/models/cbam_yolov5n_480x352.toml'],
 }
+# What the tools want: Ubuntu 20.04 and Debian 12 call these so.
+PYTHON = {'python3', 'python3-matplotlib', 'python3-numpy', 'python3-opencv', 'python3-pil', 'python3-yaml'}
 DEPENDS = pathlib.Path(__file__).resolve().parents[2] / 'toolchain/deb/depends'
 KNOWN = runpy.run_path(str(DEPENDS))
 # On arm64: the package that brings a library.
@@ -67,6 +73,8 @@ def look_at_program(program, name, architecture, depends, failures):
             failures.append(f'{name} asks for {family}_{".".join(map(str, version))}, allowed: {limit}')
     if re.search(r'(RPATH|RUNPATH).*\[(?!/usr/lib/godwit\])', dynamic):
         failures.append(f'{name} looks for libraries in a folder of its own')
+    if not re.search(r'\(FLAGS_1\).*\bNOW\b', dynamic):
+        failures.append(f'{name} binds its symbols in flight: link it with -z now')
     if architecture == 'arm64':
         for library in wanted:
             if BRINGS.get(library) not in depends:
@@ -78,7 +86,7 @@ def look_at_program(program, name, architecture, depends, failures):
 def look_into(package, failures):
     architecture = field(package, 'Architecture')
     depends = {item.strip().split(' ')[0] for item in field(package, 'Depends').split(',')} - {''}
-    for name in sorted(depends - KNOWN['NAMES']):
+    for name in sorted(depends - KNOWN['NAMES'] - PYTHON):
         failures.append(f'depends on {name}, a name that Ubuntu 20.04 and Debian 12 do not both have: link it statically')
     print(f'{package.name} ({package.stat().st_size / 1e6:.1f} MB), Depends: {field(package, "Depends")}')
     with tempfile.TemporaryDirectory(prefix='godwit_package.') as folder:

@@ -17,8 +17,16 @@ Description: a test
 '''
 
 
-def package(folder, architecture, depends, conffiles, program='/bin/true', without=None):
-    """A package with all that belongs into it but `without`; its two programs are this machine's own."""
+def compiled(folder, *words, text='int main() { return 0; }'):
+    """A program for this machine."""
+    out = folder / 'program'
+    subprocess.run(['gcc', '-x', 'c', '-', '-o', out, *words], check=True, text=True, input=text)
+    return out
+
+
+def package(folder, architecture, depends, conffiles, program=None, without=None):
+    """A package with all that belongs into it but `without`; its two programs are made here, or `program`."""
+    program = program or compiled(folder, '-Wl,-z,now')
     root = folder / 'root'
     (root / 'DEBIAN').mkdir(parents=True)
     for name in CONTENT['godwit']:
@@ -49,16 +57,18 @@ def expect(condition, told):
 
 code, told = look('amd64', 'libc6', [CONFFILE])
 expect(code == 0, told)
-# Debian 12's own programs ask for its own glibc 2.34: too new for JetPack 5.
+# Programs of Debian 12 ask for its own glibc 2.34: too new for JetPack 5.
 code, told = look('arm64', 'libc6', [CONFFILE])
 expect(code == 1 and 'asks for GLIBC_2.34, allowed: (2, 31)' in told, told)
 # godwitd asks systemd's library for the machine's number.
 with tempfile.TemporaryDirectory(prefix='godwit_look.') as made:
-    asks = pathlib.Path(made) / 'asks'
-    subprocess.run(['gcc', '-x', 'c', '-', '-o', asks, '-lsystemd'], check=True, text=True,
-                   input='int sd_id128_get_machine_app_specific(); int main() { return sd_id128_get_machine_app_specific(); }')
+    asks = compiled(pathlib.Path(made), '-Wl,-z,now', '-lsystemd',
+                    text='int sd_id128_get_machine_app_specific(); int main() { return sd_id128_get_machine_app_specific(); }')
     code, told = look('amd64', 'libc6, libsystemd0', [CONFFILE], program=asks)
     expect(code == 0 and ' LIBSYSTEMD_233;' in told, told)
+with tempfile.TemporaryDirectory(prefix='godwit_look.') as made:
+    code, told = look('amd64', 'libc6', [CONFFILE], program=compiled(pathlib.Path(made), '-Wl,-z,lazy'))
+    expect(code == 1 and '/usr/bin/godwit binds its symbols in flight' in told, told)
 code, told = look('arm64', 'libgcc-s1', [CONFFILE])
 expect(code == 1 and 'wants libc.so.6, which no package of Depends brings' in told, told)
 code, told = look('amd64', 'libc6', [])
@@ -70,4 +80,4 @@ code, told = look('amd64', 'libc6', [CONFFILE], without=unit)
 expect(code == 1 and unit + ' is not in godwit.deb' in told, told)
 done = subprocess.run([HERE.parents[1] / 'toolchain/deb/depends', '/bin/ls'], capture_output=True, text=True)
 expect(done.returncode != 0 and 'libselinux.so.1' in done.stderr, done.stdout + done.stderr)
-print('seven packages looked into')
+print('eight packages looked into')

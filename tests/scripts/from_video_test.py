@@ -6,6 +6,7 @@ out as they should; what cannot be used is refused with a word.
 import json
 import pathlib
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -114,6 +115,12 @@ class FromVideo(unittest.TestCase):
         self.assertIn('no video', done.stderr)
         done = run(GODWIT, 'replay', flown / 'sequence', '--fov', 70, '--out', self.folder / 'other')
         self.assertEqual(done.returncode, 2)
+        # Where the tools are a package of their own, and not installed.
+        (self.folder / 'bin').mkdir()
+        shutil.copy2(GODWIT, self.folder / 'bin/godwit')
+        done = run(self.folder / 'bin/godwit', 'replay', self.video, '--fov', 70, '--out', self.folder / 'other')
+        self.assertEqual(done.returncode, 2)
+        self.assertIn('install the package godwit-tools', done.stderr)
         # What is not a sequence of ours is not taken away.
         (self.folder / 'mine/sequence').mkdir(parents=True)
         (self.folder / 'mine/sequence/thesis.txt').write_text('years of work')

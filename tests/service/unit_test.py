@@ -44,7 +44,7 @@ def keys_of(text):
 PROMISED = {
     'Type': 'notify', 'NotifyAccess': 'main', 'Restart': 'on-failure', 'RestartForceExitStatus': '75', 'RestartPreventExitStatus': '2',
     'TimeoutStopSec': '5', 'StartLimitIntervalSec': '0', 'StateDirectory': 'godwit', 'LimitRTPRIO': '98', 'LimitMEMLOCK': 'infinity',
-    'OOMScoreAdjust': '-900', 'User': 'godwit', 'WatchdogSec': '2',
+    'OOMScoreAdjust': '-900', 'User': 'godwit', 'WatchdogSec': '2', 'SupplementaryGroups': 'video dialout', 'ReadWritePaths': '/sys/devices',
 }
 
 
