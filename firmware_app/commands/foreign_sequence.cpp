@@ -65,7 +65,7 @@ rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCame
   std::error_code error;
   const bool video = fs::is_regular_file(sequence, error);
   const bool told = !camera.calibration.empty() || camera.fov_deg > 0;
-  if (!fs::exists(sequence, error)) return rt::Error{sequence + ": no such file or folder"};
+  if (!fs::exists(sequence, error)) return rt::Error{sequence + ": No such file or folder"};
   if (told && !video) return rt::Error{"--camera, --fov: are for a video; a sequence has its calibration beside it"};
   if (!video && !is_kitti(sequence)) return sequence;
   if (video && !told)

@@ -101,7 +101,7 @@ class FromVideo(unittest.TestCase):
         # Again, with another camera: the earlier sequence makes way.
         done = run(GODWIT, 'replay', self.folder / 'gone.mp4', '--fov', 70, '--out', self.folder / 'other')
         self.assertEqual(done.returncode, 2)
-        self.assertIn('gone.mp4: no such file or folder', done.stderr)
+        self.assertIn('gone.mp4: No such file or folder', done.stderr)
         done = run(GODWIT, 'replay', self.video, '--fov', 70, '--frames', 3, '--out', flown)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn('Guessed', (flown / 'sequence/camera.yaml').read_text())
