@@ -72,6 +72,7 @@ class Run:
         subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=16m', 'none', self.state], check=True)
         config = folder / 'godwit.toml'
         config.write_text(f'[camera]\nsource = "replay"\nsequence = "{self.recording}"\n[can]\nbus = "multicast:0"\n'
+                          '[aids]\nattitude = false\n'  # the emulated autopilot's is not the recording's
                           f'[link]\nstate_folder = "{self.state}"\n[live]\nsocket = "{folder}/live"\n')
         self.machine = Machine()
         self.told, self.autopilot = Told(0), EmulatedAutopilot(0)
