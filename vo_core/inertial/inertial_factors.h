@@ -76,9 +76,9 @@ struct VisionSight {
 /// says to what was measured on euroc_mh01 against its truth: 0.3 mm and 0.15 mrad from picture to picture at 20 Hz, 4
 /// mm and 1.3 mrad over all, the scene 0.7 m away (its truth lags by 8 ms, which is in there, too).
 struct InertialModel {
-  /// Where nobody says what the sensor is like. The walk of the accelerometer's bias as EuRoC's calibration has it: with
-  /// a sixth of it the bias was told five times too certain where the sensor rests, whose scale is 0.2 % off. With ten
-  /// times it, which is what a file's own word would come to (firmware_app/pipeline/inertial_options.cpp), a
+  /// Where nobody says what the sensor is like. The walk of the accelerometer's bias as EuRoC's calibration has it:
+  /// with a sixth of it the bias was told five times too certain where the sensor rests, whose scale is 0.2 % off. With
+  /// ten times it, which is what a file's own word would come to (firmware_app/pipeline/inertial_options.cpp), a
   /// rangefinder that lies is believed too far.
   ImuNoise imu{3e-4, 8e-3, 5e-5, 3e-3};
   /// Times what the tracker tells of a place. Chosen on euroc_mh01, twelve flights: the squared error of the
