@@ -9,7 +9,9 @@
 
 #include "tests/vo_core/bundle_world.h"
 #include "tests/vo_core/relative_nees.h"
+#include "vo_core/map/pose_certainty.h"
 #include "vo_core/map/structure_optimizer.h"
+#include "vo_core/tracking/pose_optimizer.h"
 
 namespace godwit::vo {
 namespace bundle_adjuster_test {
@@ -164,6 +166,57 @@ TEST(BundleAdjuster, TellsHowCertainTheCentreIsWithEdgelets) {
 // Many observations of one point are worth little more than one.
 TEST(BundleAdjuster, TellsHowCertainTheCentreIsWhenAPointsErrorsHangTogether) {
   EXPECT_NEAR(nees_of_the_centre(0.1, 0, 0.3), 1.0, 0.3);
+}
+
+// The first two keyframes alone: what a wrong motion between them makes of the points agrees with the second one, and
+// pulls a frame that has gone on, or to the side.
+double nees_of_a_frame_beyond(const Vec3& way, double change_told = 1.0) {
+  test::RelativeNees nees;
+  for (unsigned seed = 1; seed <= 40; ++seed) {
+    auto w = std::make_unique<World>(0.3, 0, seed);
+    for (int k = 2; k < 6; ++k) w->map.remove_keyframe(k);
+    for (int k = 0; k < 2; ++k) w->map.keyframe(k).median_depth = 2.7;
+    BundleAdjusterOptions options;
+    options.max_iterations = 10;
+    BundleAdjuster bundle(w->camera, options);
+    EXPECT_EQ(bundle.run(&w->map, 1).free_keyframes, 1);
+    auto shares = std::make_unique<MapShares>();
+    bundle.shares(w->map, shares.get());
+    PoseCertainty certainty;
+    shares->change *= change_told;
+    for (MapShare& share : shares->share) share.with_change *= change_told;
+    certainty.take(*shares);
+    // It sees all points, and measures them with a noise of its own.
+    const SE3 truth = SE3{Mat3::Identity(), -way} * w->poses[1];
+    std::mt19937 random(seed + 500);
+    std::normal_distribution<double> noise(0.0, 0.3);
+    std::vector<PoseMeasurement> measured;
+    for (std::size_t i = 0; i < w->points.size(); ++i) {
+      const MapPoint& p = w->map.point(static_cast<int>(i));
+      PoseMeasurement m;
+      if (!p.active || !w->camera.project(truth * w->points[i], &m.px)) continue;
+      m.px += Vec2(noise(random), noise(random));
+      m.p_world = p.p_world;
+      measured.push_back(m);
+    }
+    SE3 T = truth;
+    const PoseOptimizerResult fit = optimize_pose(w->camera, {}, measured, &T);
+    EXPECT_TRUE(fit.ok);
+    const RelativePose told = certainty.relative(w->map, T, 2 * rt::kNsPerSecond, fit.covariance, Mat6::Zero());
+    EXPECT_EQ(told.keyframe_id, 2u);
+    nees.add(told.T_ref_cam.inverse(), truth * w->poses[1].inverse(), told.covariance);
+  }
+  return nees.mean();
+}
+
+TEST(BundleAdjuster, TellsHowCertainAFrameBeyondTheCentreIs) {
+  for (const Vec3& way : {Vec3(0.2, 0.0, 0.0), Vec3(0.0, 0.15, 0.3), Vec3(-0.1, -0.2, 0.1)}) {
+    // What a point is off by itself counts twice, in the share and in the frame's residuals: careful.
+    const double nees = nees_of_a_frame_beyond(way);
+    EXPECT_GT(nees, 0.3) << way.transpose();
+    EXPECT_LT(nees, 1.5) << way.transpose();
+    EXPECT_GT(nees_of_a_frame_beyond(way, 0.0), 2.0) << "as if the frame were where the keyframe is";
+  }
 }
 
 }  // namespace bundle_adjuster_test

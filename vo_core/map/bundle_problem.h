@@ -36,6 +36,19 @@ struct BundleProblem {
     Vec3 b;
   };
 
+  /// For bundle_shares.cpp. Views beside the centre: at its own place and a little along each of its axes.
+  static constexpr int kViews = 4;
+  /// Clusters of points: cells of the centre's picture, as far as neighbours err together.
+  static constexpr int kCellColumns = 8, kCellRows = 6, kCells = kCellColumns * kCellRows;
+  struct Views {
+    std::array<SE3, kViews> T_view_world;
+    std::array<Mat6, kViews> own;                            ///< inverse information of what each measures
+    std::array<std::array<Mat6, kMaxFree>, kViews> by_pose;  ///< of the normal equations, by the free poses
+    std::array<Eigen::Matrix<double, 6 * kViews, 3>, BundleAdjuster::kMaxPoints_> by_point;  ///< zero: out of view
+    std::array<std::array<Vec6, kMaxFree + 1>, kCells> here;  ///< sums over a cell's points
+    std::array<Vec18, kCells> change;
+  };
+
   BundleProblem(const CameraModel& c, const BundleAdjusterOptions& o) : camera(c), options(o) {}
 
   /// Keyframe `centre`, those that share most points with it, free; and all other observers of their points, fixed.
@@ -64,6 +77,7 @@ struct BundleProblem {
   std::array<Mat6, kMaxFree> Hpp;
   std::array<Vec6, kMaxFree> bp;
   std::array<Mat6, kMaxFree * kMaxFree> inverse;  ///< of S, by blocks: bundle_shares.cpp
+  Views views;
   alignas(32) std::array<double, kDim * kDim> S;
   alignas(32) std::array<double, kDim> rhs;
 };

@@ -1,5 +1,7 @@
 #include "vo_core/map/pose_certainty.h"
 
+#include <algorithm>
+
 namespace godwit::vo {
 
 void PoseCertainty::clear() {
@@ -12,6 +14,19 @@ const MapShare* PoseCertainty::find_share(std::uint32_t keyframe_id) const {
   for (int i = 0; i < shares_.count; ++i)
     if (shares_.share[i].keyframe_id == keyframe_id) return &shares_.share[i];
   return nullptr;
+}
+
+// The share as the frame has it, which looks from elsewhere than the centre.
+Mat6 PoseCertainty::carried(const MapShare& share, const SE3& T_cam_centre) const {
+  constexpr double kFarthest = 0.5;  // median depths: farther away an even change says little
+  Vec3 way = T_cam_centre.centre();
+  way *= std::min(1.0, kFarthest * shares_.median_depth / std::max(way.norm(), 1e-12));
+  Mat6_18 along;
+  along << way.x() * Mat6::Identity(), way.y() * Mat6::Identity(), way.z() * Mat6::Identity();
+  const Mat6 mixed = share.with_change * along.transpose();
+  const Mat6 there = share.covariance + mixed + mixed.transpose() + along * shares_.change * along.transpose();
+  const Mat6 ad = adjoint(T_cam_centre);
+  return ad * there * ad.transpose();
 }
 
 RelativePose PoseCertainty::relative(const Map& map, const SE3& T_cam_world, rt::TimeNs t_capture_ns, const Mat6& own,
@@ -41,8 +56,7 @@ RelativePose PoseCertainty::relative(const Map& map, const SE3& T_cam_world, rt:
   const MapShare* share = find_share(ref.id);
   const int centre = map.find_keyframe(shares_.centre);
   if (share != nullptr && centre >= 0) {
-    const Mat6 ad_centre = adjoint(T_cam_world * map.keyframe(centre).T_kf_world.inverse());
-    out.covariance = own + ad_centre * share->covariance * ad_centre.transpose();
+    out.covariance = own + carried(*share, T_cam_world * map.keyframe(centre).T_kf_world.inverse());
   } else {
     // Before the first adjustment: the keyframe hangs on the points as the frame does.
     const Mat6 ad_ref = adjoint(T_cam_ref);

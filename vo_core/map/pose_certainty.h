@@ -6,6 +6,10 @@
 // shares M, carried to its own axes by the adjoint, and has its own noise, H_C^-1:
 //   C(C,K) = H_C^-1 + Ad(T_CN) M(N,K) Ad(T_CN)^T.
 // Where K is N itself, N hangs on the points just as C does: M(N,N) = H_N^-1, as N's own residuals have it.
+//
+// That holds while C looks from where N did. What the points are off by together - the shape that a wrong motion
+// between two views gives them - looks otherwise from elsewhere: N agrees with it, a frame beyond N is pulled. So it is
+// also told how M changes with the place that a frame looks from.
 #pragma once
 
 #include <array>
@@ -25,17 +29,26 @@ inline Mat6 adjoint(const SE3& T) {
   return ad;
 }
 
+using Vec18 = Eigen::Matrix<double, 18, 1>;
+using Mat18 = Eigen::Matrix<double, 18, 18>;
+using Mat6_18 = Eigen::Matrix<double, 6, 18>;
+
 /// Share of the map's errors in the pose of keyframe `centre` relative to keyframe `keyframe_id`: covariance of the
-/// left twist of T_centre_keyframe [map units, rad].
+/// left twist of T_centre_keyframe [map units, rad], and of that with its change (MapShares).
 struct MapShare {
   std::uint32_t keyframe_id = 0;
   Mat6 covariance = Mat6::Zero();
+  Mat6_18 with_change = Mat6_18::Zero();
 };
 /// The same for all keyframes that were adjusted together. Travels from mapper to tracker.
 struct MapShares {
   static constexpr int kMax = 24;
   std::uint32_t centre = 0;  ///< id of the keyframe; 0: none
   int count = 0;
+  double median_depth = 1.0;  ///< of the centre
+  /// Covariance of what a frame's twist, along the centre's axes, changes by for each unit of length that it lies along
+  /// the centre's x, y and z (6 each): the same relative to all keyframes.
+  Mat18 change = Mat18::Zero();
   std::array<MapShare, kMax> share;
 };
 
@@ -76,6 +89,7 @@ class PoseCertainty {
 
  private:
   const MapShare* find_share(std::uint32_t keyframe_id) const;
+  Mat6 carried(const MapShare& share, const SE3& T_cam_centre) const;
 
   PoseCertaintyOptions options_;
   MapShares shares_;
