@@ -193,6 +193,14 @@ bool InertialOdometry::plausible(double most_sigmas) {
   return true;
 }
 
+double InertialOdometry::course_sigma(std::span<const InertialNode> window) const {
+  const InertialNode &first = window.front(), &last = window.back();
+  const double way = (last.sight.camera - first.sight.camera).norm();
+  const double strayed = position_stray(last.sight, options_.model) * std::sqrt(rt::to_seconds(last.t_ns - first.t_ns));
+  return std::clamp(options_.model.course_begin * strayed / std::max(way, 1e-12), options_.least_course_sigma,
+                    options_.most_course_sigma);
+}
+
 void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const int n = smoother_.size();
   if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
@@ -219,7 +227,9 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   first.mounting = prior_.mounting;
   first.time_offset_s = prior_.time_offset_s;
   for (int i = 1; i < n; ++i) smoother_.add(window[i]);
-  smoother_.set_prior(prior_);
+  InertialPrior prior = prior_;
+  prior.course_sigma = course_sigma(window);
+  smoother_.set_prior(prior);
   count_on(others);
   if (!convincing(smoother_.solve(6))) return;
   begin(pose, smoother_.newest().up);
@@ -238,8 +248,8 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   }
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
-    const Vec3 pivot = smoother_.newest().camera;
-    smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
+    smoother_.correct_map(
+        {before_.t_ns - options_.strayed_ns, before_.t_ns, smoother_.newest().camera, pose.turned_by, pose.moved_by});
     correct(pose);
   }
   // Not where the sensor is silent: then the picture before is not measured, either.

@@ -38,6 +38,11 @@ struct InertialOdometryOptions {
   rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   VisionStrayOptions stray;
+  /// What a correction of the map takes back vision strayed by over so long: as old as what bundle adjustment moves.
+  /// Chosen on euroc_mh01 with ten and twenty pictures a second and in the simulator between 0.5 and 1.5 s; with 3 s
+  /// and more lengths are off as if all moments moved alike.
+  rt::TimeNs strayed_ns = 800 * rt::kNsPerMs;
+  double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
   double told_place_sigma_m = 4e-3;    ///< an axis
@@ -99,6 +104,8 @@ class InertialOdometry : public MetricMap {
     return std::max(dispute2_, turned * turned / 3);
   }
   void begin_window(const VisualPose& pose);
+  /// How far the course may be off in a map that begins so [rad, an axis].
+  double course_sigma(std::span<const InertialNode> window) const;
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
   /// Biases and mounting are no further from what they were taken to be at first.
