@@ -45,6 +45,8 @@ class Flown {
     pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
     pose.covariance = 1e-9 * Mat6::Identity();
     if (young_) stray(t, &pose);
+    if (lean_ != 0) lean(&pose);
+    if (creeps_ != 0) creep(k, &pose);
     return odometry_->frame(pose);
   }
   /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
@@ -61,6 +63,26 @@ class Flown {
     pose->relative_covariance.diagonal().tail<3>().setConstant(0.5 * told * told);
     pose->covariance.diagonal().tail<3>().setConstant(told_variance_);
   }
+  /// As in a map whose depths lean: all ways are askew, and how far a way is known says that much.
+  void lean(VisualPose* pose) const {
+    pose->T_map_cam.t = so3_exp(lean_ * Vec3(0.6, 0.8, 0)) * pose->T_map_cam.t;
+    pose->relative_age_ns = rt::kNsPerSecond / 2;
+    pose->relative_covariance.diagonal().head<3>().setConstant(2e-5);
+    pose->relative_covariance.diagonal().tail<3>().setConstant(1e-7);
+  }
+  /// Between corrections of the map ways come out too long, each correction takes that back.
+  void creep(int k, VisualPose* pose) {
+    const Vec3 camera = pose->T_map_cam.t;
+    if (k > 0) crept_ += creeps_ * (camera - last_camera_);
+    last_camera_ = camera;
+    if (k % 10 == 9) {
+      pose->map_moved = true;
+      pose->moved_by = -before_;
+      crept_ -= before_;
+    }
+    pose->T_map_cam.t += crept_;
+    before_ = crept_;
+  }
   /// The camera's true place.
   Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
 
@@ -69,6 +91,9 @@ class Flown {
   bool silent_ = false, poison_ = false, tracked_ = true, young_ = false;
   Vec3 strayed_ = Vec3::Zero();
   double told_variance_ = 1e-9;
+  double lean_ = 0;    ///< [rad]
+  double creeps_ = 0;  ///< share of the way
+  Vec3 crept_ = Vec3::Zero(), before_ = Vec3::Zero(), last_camera_ = Vec3::Zero();
   std::uint32_t map_id_ = 1;
   rt::TimeNs late_ns_ = 0;  ///< pictures are stamped so much later than they were taken
 };

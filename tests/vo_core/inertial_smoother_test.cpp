@@ -31,6 +31,7 @@ InertialState some_state(int salt) {
   x.up = (kUpInMap + v(0.02)).normalized();
   x.mounting = v(0.02);
   x.time_offset_s = 0.01 * normal(engine);
+  x.course = v(0.05);
   return x;
 }
 
@@ -174,11 +175,29 @@ TEST(InertialSmoother, AMapThatMovesTakesAllAlong) {
   const InertialState before = smoother->newest();
   const Mat3 turn = so3_exp(Vec3(0.02, -0.01, 0.03));
   const Vec3 pivot(1, 2, 3), shift(0.1, 0, -0.2);
-  smoother->move_map(pivot, turn, shift);
+  // All of it before the first moment: as one.
+  smoother->correct_map({0, 0, pivot, so3_log(turn), shift});
   ASSERT_TRUE(smoother->solve(5).ok);
   EXPECT_LT((smoother->newest().camera - (pivot + turn * (before.camera - pivot) + shift)).norm(), 1e-3);
   EXPECT_NEAR(smoother->newest().log_scale, before.log_scale, 2e-3);
   EXPECT_LT(angle_between(smoother->newest().up, turn * before.up), 1e-3);
+}
+
+TEST(InertialSmoother, ACorrectionMovesWhatWasSeenWhileVisionStrayed) {
+  Flight f(1.0, 3);
+  Alignment found;
+  InertialSmoother::Report report;
+  const auto smoother = begun(&f, 30, AlignmentMethod::kWhole, &found, &report);
+  std::vector<Vec3> before;
+  for (int i = 0; i < 30; ++i) before.push_back(smoother->node(i).sight.camera);
+  const Vec3 shift(0.1, 0, -0.2);
+  const rt::TimeNs to_ns = smoother->node(29).t_ns;
+  smoother->correct_map({to_ns - rt::kNsPerSecond / 2, to_ns, before.back(), Vec3::Zero(), shift});
+  const auto moved = [&](int i) { return smoother->node(i).sight.camera - before[static_cast<std::size_t>(i)]; };
+  EXPECT_LT((moved(29) - shift).norm(), 1e-12);
+  EXPECT_LT((moved(24) - 0.5 * shift).norm(), 1e-6);
+  EXPECT_LT(moved(19).norm(), 1e-6);
+  EXPECT_LT(moved(0).norm(), 1e-12);
 }
 
 }  // namespace inertial_smoother_test

@@ -9,10 +9,6 @@ namespace {
 /// An axis, where nothing is known of it but that it flies [m/s].
 constexpr double kUnknownSpeed = 10;
 
-MapPose map_pose(const VisualPose& pose) {
-  return {pose.T_map_cam, pose.covariance, pose.own_covariance};
-}
-
 double square(double x) {
   return x * x;
 }
@@ -24,25 +20,14 @@ void AidedOdometry::correct_map(const VisualPose& pose) {
   const Mat3 turn = so3_exp(pose.turned_by);
   aids_.move_map(last_camera_, turn, pose.moved_by);
   vertical_.turn_map(turn);
-  // The frame's own view of the map stays: what was corrected, jumps.
   fit_.shift(pose.moved_by);
   last_camera_ += pose.moved_by;
-  last_map_ = SE3(turn * last_map_.R, last_map_.t + pose.moved_by);
-}
-
-double AidedOdometry::stray_rate(const VisualPose& pose) {
-  if (pose.map_id != map_id_) stray_rate_ = 0;
-  // What is hung on a wrong part of a map inherits its error for some seconds.
-  stray_rate_ *= std::exp(-2 * rt::to_seconds(pose.t_ns - t_stray_ns_) / rt::to_seconds(options_.stray_memory_ns));
-  t_stray_ns_ = pose.t_ns;
-  if (pose.relative_age_ns <= 0) return stray_rate_;
-  const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.stray_age_ns));
-  stray_rate_ = std::max(stray_rate_, pose.relative_covariance.diagonal().tail<3>().mean() / age_s);
-  return stray_rate_;
+  correct(pose);
 }
 
 void AidedOdometry::hear(const VisualPose& pose) {
-  vertical_.pose(pose.t_ns, pose.map_id, pose.T_map_cam.R, stray_rate(pose));
+  stray_.judge(pose);
+  vertical_.pose(pose.t_ns, pose.map_id, pose.T_map_cam.R, stray_.rotation_rate());
   AidPose p;
   p.t_ns = pose.t_ns;
   p.map_id = pose.map_id;
@@ -58,8 +43,8 @@ void AidedOdometry::hear(const VisualPose& pose) {
 }
 
 bool AidedOdometry::good_enough() {
-  const double most_up = metric_ ? options_.lost_up_sigma : options_.begin_up_sigma;
-  const double most_scale = metric_ ? options_.lost_scale_sigma : options_.begin_scale_sigma;
+  const double most_up = metric() ? options_.lost_up_sigma : options_.begin_up_sigma;
+  const double most_scale = metric() ? options_.lost_scale_sigma : options_.begin_scale_sigma;
   if (vertical_.distrusted()) return refuse("the autopilot's attitude contradicts the pictures", 0, 0);
   if (!vertical_.known()) return refuse("waiting for the autopilot's attitude", 0, 0);
   if (!(vertical_.sigma_rad() < most_up))
@@ -77,18 +62,15 @@ MetricPose AidedOdometry::frame(const VisualPose& pose) {
   const bool another = pose.map_id != map_id_;
   map_id_ = pose.map_id;
   if (another) {
-    metric_ = false;
+    end();
     fit_.clear();
   }
   fit_.add(pose.t_ns, pose.T_map_cam.t);
-  const bool was = metric_;
-  metric_ = good_enough();
-  if (metric_) {
-    refusal_ = {};
-    if (!was) {
-      ++begun_;
-      anchor_.begin(map_pose(pose), vertical_.up(), have_nav_ ? &last_nav_ : nullptr);
-      told_ = false;
+  if (!good_enough()) {
+    end();
+  } else {
+    if (!metric()) {
+      begin(pose, vertical_.up());
       way_ = 0;
       last_camera_ = pose.T_map_cam.t;
     }
@@ -96,33 +78,19 @@ MetricPose AidedOdometry::frame(const VisualPose& pose) {
   }
   way_ += (pose.T_map_cam.t - last_camera_).norm();
   last_camera_ = pose.T_map_cam.t;
-  return metric_ ? tell(pose) : MetricPose{};
+  return metric() ? tell(pose) : MetricPose{};
 }
 
 MetricPose AidedOdometry::tell(const VisualPose& pose) {
   const double s = aids_.state().scale();
-  MetricPose out;
-  out.valid = true;
-  out.T_nav_cam = anchor_.in_nav(pose.T_map_cam, s);
-  if (told_) {
-    // The last pose as it would be told now.
-    const SE3 again = anchor_.in_nav(last_map_, s);
-    out.moved_by_m = again.t - last_nav_.t;
-    out.turned_by_rad = so3_log(again.R * last_nav_.R.transpose());
-  }
   const Mat3 shared =
       Vec3(square(aids_.state().log_sigma()), square(vertical_.sigma_rad()), square(vertical_.sigma_rad()))
           .asDiagonal();
-  const auto J = MapAnchor::shared_errors(anchor_.way(pose.T_map_cam, s));
-  out.covariance = J * shared * J.transpose() + anchor_.grown(map_pose(pose), s);
+  MetricPose out = pose_in_frame(pose, s, shared);
   const double place = std::hypot(options_.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
   out.covariance.diagonal().head<3>().array() += square(place) + square(options_.drift_share * s * way_);
   out.covariance.diagonal().tail<3>().array() += square(options_.rotation_sigma);
-  out.log_scale_sigma = std::sqrt(shared(0, 0));
   tell_velocity(pose, shared, &out);
-  told_ = have_nav_ = true;
-  last_map_ = pose.T_map_cam;
-  last_nav_ = out.T_nav_cam;
   return out;
 }
 

@@ -4,9 +4,10 @@
 
 #include <cstdint>
 
-#include "vo_core/inertial/inertial_odometry.h"
-#include "vo_core/inertial/map_anchor.h"
+#include "vo_core/inertial/inertial_factors.h"
 #include "vo_core/inertial/map_vertical.h"
+#include "vo_core/inertial/metric_map.h"
+#include "vo_core/inertial/scale_aids.h"
 #include "vo_core/inertial/velocity_fit.h"
 
 namespace godwit::vo {
@@ -24,7 +25,7 @@ struct AidedOdometryOptions {
   double rotation_sigma = 1e-3;  ///< [rad]
   double drift_share = 2e-4;     ///< of the way flown
   double told_place_sigma_m = 4e-3, told_speed_sigma_m_s = 6e-3;
-  rt::TimeNs stray_age_ns = 500 * rt::kNsPerMs, stray_memory_ns = 5 * rt::kNsPerSecond;
+  VisionStrayOptions stray;
 };
 
 /// One thread; no allocation after the constructor. Frames and readings in the order of their times, all in one clock.
@@ -32,10 +33,11 @@ struct AidedOdometryOptions {
 /// What is told stands in one frame as long as the map is metric; whatever interrupts that (another map, a scale or a
 /// vertical that is given up) ends the frame, and the next one begins where and as it headed then: nobody knows what
 /// happened between.
-class AidedOdometry {
+class AidedOdometry : public MetricMap {
  public:
   explicit AidedOdometry(const CameraMounting& mounting, const AidedOdometryOptions& options = {})
-      : options_(options),
+      : MetricMap(options.stray),
+        options_(options),
         R_cam_body_(mounting.R_body_cam.transpose()),
         aids_(options.aids),
         vertical_(mounting.R_body_cam, options.vertical) {}
@@ -48,28 +50,13 @@ class AidedOdometry {
 
   /// An attitude was heard, ever: before that nobody has promised metres.
   bool attitude_heard() const { return vertical_.heard(); }
-  bool metric() const { return metric_; }
-  /// How often it became metric: poses of one number stand in one frame.
-  std::uint32_t begun() const { return begun_; }
-  /// Why the last frame is not metric.
-  struct Refusal {
-    const char* text = "";
-    double value = 0, limit = 0;
-  };
-  const Refusal& refusal() const { return refusal_; }
   const ScaleState& scale() const { return aids_.state(); }
   const MapVertical& vertical() const { return vertical_; }
 
  private:
   void correct_map(const VisualPose& pose);
   void hear(const VisualPose& pose);
-  /// How fast the map's rotation strays, by what the tracker says of the pose relative to a keyframe [rad^2/s].
-  double stray_rate(const VisualPose& pose);
   bool good_enough();
-  bool refuse(const char* text, double value, double limit) {
-    refusal_ = {text, value, limit};
-    return false;
-  }
   MetricPose tell(const VisualPose& pose);
   void tell_velocity(const VisualPose& pose, const Mat3& shared, MetricPose* out);
 
@@ -77,19 +64,10 @@ class AidedOdometry {
   const Mat3 R_cam_body_;
   ScaleAids aids_;
   MapVertical vertical_;
-  MapAnchor anchor_;
   VelocityFit fit_;
-  bool metric_ = false;
-  bool told_ = false;      ///< last_map_ was told in the present frame
-  bool have_nav_ = false;  ///< last_nav_ means something
-  std::uint32_t begun_ = 0, map_id_ = 0;
-  Refusal refusal_;
-  SE3 last_map_;  ///< the last pose told as vision has it, corrections of the map taken in
-  SE3 last_nav_;
+  std::uint32_t map_id_ = 0;
   Vec3 last_camera_ = Vec3::Zero();
   double way_ = 0;  ///< flown since the anchor [map units]
-  double stray_rate_ = 0;
-  rt::TimeNs t_stray_ns_ = 0;
 };
 
 }  // namespace godwit::vo

@@ -28,6 +28,7 @@ InertialState InertialState::plus(const Error& e) const {
   out.up = (up + up_basis() * e.segment<2>(kUp)).normalized();
   out.mounting += e.segment<3>(kMounting);
   out.time_offset_s += e[kTime];
+  out.course += e.segment<3>(kCourse);
   return out;
 }
 
@@ -43,6 +44,7 @@ InertialState::Error InertialState::minus(const InertialState& from) const {
   e.segment<2>(kUp) = from.up_basis().transpose() * up / along;
   e.segment<3>(kMounting) = mounting - from.mounting;
   e[kTime] = time_offset_s - from.time_offset_s;
+  e.segment<3>(kCourse) = course - from.course;
   return e;
 }
 
@@ -80,7 +82,8 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   const Vec3 g = -gravity * i.up;
   const Vec3 turned = so3_log(dR.transpose() * R_i_t * j.R_map_body);
   const Vec3 faster = R_i_t * (j.velocity - i.velocity - g * dt);
-  const Vec3 moved = s * (j.camera - i.camera);
+  const Mat3 turn = so3_exp(i.course);
+  const Vec3 way = s * (j.camera - i.camera), moved = turn * way;
   const Vec3 further = R_i_t * (moved - j.R_map_body * m.t_body_cam_m - i.velocity * dt - 0.5 * dt * dt * g);
   const Eigen::Matrix<double, 3, 2> B_i = i.up_basis();
   SightJacobian V_i, V_j;
@@ -96,7 +99,8 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   r.segment<2>(16) = B_i.transpose() * (j.up - i.up);
   r.segment<3>(18) = j.mounting - i.mounting;
   r[21] = j.time_offset_s - i.time_offset_s;
-  r.segment<6>(22) = e_j - e_i;
+  r.segment<3>(22) = j.course - i.course;
+  r.segment<6>(25) = e_j - e_i;
   if (J_i == nullptr || J_j == nullptr) return r;
   J_i->setZero();
   J_j->setZero();
@@ -114,12 +118,13 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   J_i->block<3, 2>(3, S::kUp) = gravity * dt * R_i_t * B_i;
   J_i->block<3, 3>(6, S::kRotation) = skew(further);
   J_j->block<3, 3>(6, S::kRotation) = R_i_j * skew(m.t_body_cam_m);
-  J_i->block<3, 3>(6, S::kCamera) = -s * R_i_t;
-  J_j->block<3, 3>(6, S::kCamera) = s * R_i_t;
+  J_i->block<3, 3>(6, S::kCamera) = -s * R_i_t * turn;
+  J_j->block<3, 3>(6, S::kCamera) = s * R_i_t * turn;
   J_i->block<3, 3>(6, S::kVelocity) = -dt * R_i_t;
   J_i->block<3, 3>(6, S::kGyroBias) = -d.dp_dbg();
   J_i->block<3, 3>(6, S::kAccelBias) = -d.dp_dba();
   J_i->block<3, 1>(6, S::kScale) = R_i_t * moved;
+  J_i->block<3, 3>(6, S::kCourse) = -R_i_t * turn * skew(way) * so3_right_jacobian(i.course);
   J_i->block<3, 2>(6, S::kUp) = 0.5 * gravity * dt * dt * R_i_t * B_i;
   for (int k = 0; k < 7; ++k) {
     (*J_i)(9 + k, S::kGyroBias + k) = -1;
@@ -127,13 +132,17 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   }
   J_i->block<2, 2>(16, S::kUp) = -Eigen::Matrix2d::Identity();
   J_j->block<2, 2>(16, S::kUp) = B_i.transpose() * j.up_basis();
-  for (int k = 0; k < 4; ++k) {
+  for (int k = 0; k < 7; ++k) {
     (*J_i)(18 + k, S::kMounting + k) = -1;
     (*J_j)(18 + k, S::kMounting + k) = 1;
   }
   J_i->bottomRows<6>() = -V_i;
   J_j->bottomRows<6>() = V_j;
   return r;
+}
+
+double position_stray(const VisionSight& sight, const InertialModel& model) {
+  return std::hypot(model.position_walk * sight.depth, model.position_stray * std::sqrt(sight.position_rate));
 }
 
 void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model,
@@ -168,8 +177,12 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   weigh(16, 2, root * moving * std::hypot(model.up_walk, model.up_stray * rotation_rate));
   weigh(18, 3, model.mounting_walk * root);
   weigh(21, 1, model.time_walk * root);
-  weigh(22, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));
-  weigh(25, 3,
+  // Where it hardly moves as much as at the least: the rest is in `moving`.
+  const double way = std::max((at_j.camera - at_i.camera).norm(), model.still * at_j.depth);
+  const double askew = std::max(position_stray(at_i, model), position_stray(at_j, model)) * d.dt_s() / way;
+  weigh(22, 3, root * moving * model.course_stray * askew);
+  weigh(25, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));
+  weigh(28, 3,
         std::hypot(root * model.position_walk * at_i.depth, root * model.position_stray * position_rate,
                    model.own_position * std::hypot(at_i.own_position, at_j.own_position)));
 }

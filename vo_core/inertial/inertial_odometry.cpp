@@ -1,18 +1,19 @@
 #include "vo_core/inertial/inertial_odometry.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
-
-#include "vo_core/map/pose_certainty.h"
 
 namespace godwit::vo {
 
 using S = InertialState;
 
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
-    : options_(options), prior_(options.prior), smoother_(mounting, options.model), aids_(options.aids) {}
+    : MetricMap(options.stray),
+      options_(options),
+      prior_(options.prior),
+      smoother_(mounting, options.model),
+      aids_(options.aids) {}
 
 void InertialOdometry::add(const ImuReading& reading) {
   buffer_.add(reading);
@@ -39,7 +40,7 @@ rt::TimeNs InertialOdometry::measured_since(rt::TimeNs t_ns, Preintegration* sin
 }
 
 bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const {
-  if (buffer_.empty() || !metric_) return false;  // before, the gyroscope's bias is not known
+  if (buffer_.empty() || !metric()) return false;  // before, the gyroscope's bias is not known
   const S& x = smoother_.newest();
   const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
   Preintegration d(x.bias);
@@ -51,7 +52,7 @@ bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat
 }
 
 rt::TimeNs InertialOdometry::moment_of(const VisualPose& pose) const {
-  const double offset_s = metric_ ? smoother_.newest().time_offset_s : prior_.time_offset_s;
+  const double offset_s = metric() ? smoother_.newest().time_offset_s : prior_.time_offset_s;
   return pose.t_ns + static_cast<rt::TimeNs>(offset_s * 1e9);
 }
 
@@ -62,8 +63,8 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose, rt::TimeNs t_ns) 
   sight.camera = pose.T_map_cam.t;
   sight.depth = std::max(1e-6, pose.median_depth);
   sight.own_position = std::sqrt(pose.own_covariance.diagonal().head<3>().mean());
-  sight.position_rate = position_rate_ * sight.depth * sight.depth;
-  sight.rotation_rate = rotation_rate_;
+  sight.position_rate = stray_.position_rate() * sight.depth * sight.depth;
+  sight.rotation_rate = stray_.rotation_rate();
   sight.position_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().head<3>().mean()));
   sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
   // The rate over 10 ms around the frame.
@@ -71,21 +72,6 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose, rt::TimeNs t_ns) 
   buffer_.integrate(t_ns - 5 * rt::kNsPerMs, t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
   if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
   return sight;
-}
-
-void InertialOdometry::judge_stray(const VisualPose& pose) {
-  if (pose.map_id != stray_map_id_) rotation_rate_ = position_rate_ = 0;
-  stray_map_id_ = pose.map_id;
-  const double kept = std::exp(-2 * rt::to_seconds(pose.t_ns - t_stray_ns_) / rt::to_seconds(options_.stray_memory_ns));
-  t_stray_ns_ = pose.t_ns;
-  rotation_rate_ *= kept;
-  position_rate_ *= kept;
-  if (pose.relative_age_ns <= 0) return;
-  const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.stray_age_ns));
-  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
-  const auto variances = pose.relative_covariance.diagonal();
-  position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
-  rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
 }
 
 void InertialOdometry::hear_aids(const VisualPose& pose) {
@@ -97,7 +83,7 @@ void InertialOdometry::hear_aids(const VisualPose& pose) {
   p.points = pose.points;
   const Mat3 R_body_cam = smoother_.mounting().R_body_cam;
   p.beam = pose.T_map_cam.R * (R_body_cam.transpose() * options_.range_beam);
-  if (metric_ && pose.map_id == map_id_) {
+  if (metric() && pose.map_id == map_id_) {
     p.up = smoother_.newest().up;
     p.up_sigma = std::sqrt(smoother_.covariance().diagonal().segment<2>(S::kUp).maxCoeff());
   } else if (pose.map_id == map_id_) {
@@ -113,7 +99,7 @@ ScaleHint InertialOdometry::hint() {
   dispute2_ = 1;
   if (!told.known()) return {};
   ScaleHint out{std::log(told.scale()), told.log_sigma()};
-  if (!metric_) return out;
+  if (!metric()) return out;
   // The window's own opinion, without what it took from them: beside what they had pulled it to they are never wrong.
   const double all = 1 / smoother_.covariance()(S::kScale, S::kScale);
   const double theirs = counted_.sigma > 0 ? 1 / (counted_.sigma * counted_.sigma) : 0;
@@ -130,7 +116,7 @@ ScaleHint InertialOdometry::hint() {
 }
 
 void InertialOdometry::begin_window(const VisualPose& pose) {
-  if (metric_ && prior_kept_) {
+  if (metric() && prior_kept_) {
     // What the sensor is like outlives the map.
     const S& x = smoother_.newest();
     prior_.bias = x.bias;
@@ -147,7 +133,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
   } else if (!prior_kept_) {
     prior_ = options_.prior;
   }
-  metric_ = told_ = false;
+  end();
   prior_kept_ = true;
   attempt_up_.setZero();
   smoother_.clear();
@@ -174,7 +160,7 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
     return false;
   }
   node.sight = sight_of(pose, node.t_ns);
-  while (metric_ && smoother_.size() >= options_.window) smoother_.drop_oldest();
+  while (metric() && smoother_.size() >= options_.window) smoother_.drop_oldest();
   smoother_.add(node);
   return true;
 }
@@ -207,6 +193,14 @@ bool InertialOdometry::plausible(double most_sigmas) {
   return true;
 }
 
+double InertialOdometry::course_sigma(std::span<const InertialNode> window) const {
+  const InertialNode &first = window.front(), &last = window.back();
+  const double way = (last.sight.camera - first.sight.camera).norm();
+  const double strayed = position_stray(last.sight, options_.model) * std::sqrt(rt::to_seconds(last.t_ns - first.t_ns));
+  return std::clamp(options_.model.course_begin * strayed / std::max(way, 1e-12), options_.least_course_sigma,
+                    options_.most_course_sigma);
+}
+
 void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const int n = smoother_.size();
   if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
@@ -233,45 +227,17 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   first.mounting = prior_.mounting;
   first.time_offset_s = prior_.time_offset_s;
   for (int i = 1; i < n; ++i) smoother_.add(window[i]);
-  smoother_.set_prior(prior_);
+  InertialPrior prior = prior_;
+  prior.course_sigma = course_sigma(window);
+  smoother_.set_prior(prior);
   count_on(others);
   if (!convincing(smoother_.solve(6))) return;
-  metric_ = true;
-  ++begun_;
-  refusal_ = {};
-  anchor_pose_ = pose.T_map_cam;
-  anchor_covariance_ = pose.covariance;
-  anchor_map_ = pose.T_map_cam.t;
-  // The heading: that of the last map, or the camera's first one along x.
-  R_nav_map_ = so3_exp(Vec3::Zero());
-  level();
-  const Vec3 ahead = R_nav_map_ * pose.T_map_cam.R.col(2);
-  const Vec3 wanted = have_nav_ ? Vec3(last_nav_.R.col(2)) : Vec3(Vec3::UnitX());
-  // A camera that looks straight down has no heading ahead; its picture's upper edge has.
-  const bool down = std::hypot(ahead.x(), ahead.y()) < 0.1;
-  const Vec3 from = down ? Vec3(-(R_nav_map_ * pose.T_map_cam.R.col(1))) : ahead;
-  const Vec3 to = have_nav_ && down ? Vec3(-last_nav_.R.col(1)) : wanted;
-  const double turn = std::atan2(to.y(), to.x()) - std::atan2(from.y(), from.x());
-  R_nav_map_ = so3_exp(Vec3(0, 0, turn)) * R_nav_map_;
-  anchor_nav_ = have_nav_ ? last_nav_.t : Vec3(Vec3::Zero());
-}
-
-void InertialOdometry::level() {
-  // The least turn that brings the map's vertical up; it leaves the heading alone.
-  const Vec3 up = R_nav_map_ * smoother_.newest().up;
-  const Vec3 axis = up.cross(Vec3::UnitZ());
-  const double sine = axis.norm();
-  if (sine < 1e-12) {
-    if (up.z() < 0) R_nav_map_ = so3_exp(Vec3(M_PI, 0, 0)) * R_nav_map_;
-  } else {
-    R_nav_map_ = so3_exp(axis / sine * std::atan2(sine, up.z())) * R_nav_map_;
-  }
-  R_nav_map_ = Eigen::Quaterniond(R_nav_map_).normalized().toRotationMatrix();
+  begin(pose, smoother_.newest().up);
 }
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (!pose.tracked || buffer_.empty()) return {};
-  judge_stray(pose);
+  stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)
     aids_.move_map(last_seen_camera_, so3_exp(pose.turned_by), pose.moved_by);
   last_seen_camera_ = pose.T_map_cam.t;
@@ -282,20 +248,17 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   }
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
-    const Vec3 pivot = smoother_.newest().camera;
-    smoother_.move_map(pivot, so3_exp(pose.turned_by), pose.moved_by);
-    if (metric_) {
-      // The navigation frame's own view of the map stays: what was corrected, jumps.
-      last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
-    }
+    smoother_.correct_map(
+        {before_.t_ns - options_.strayed_ns, before_.t_ns, smoother_.newest().camera, pose.turned_by, pose.moved_by});
+    correct(pose);
   }
   // Not where the sensor is silent: then the picture before is not measured, either.
   const rt::TimeNs reach_ns = buffer_.newest_ns() + options_.unmeasured_ns;
   const bool early = moment_of(pose) > reach_ns && pose.t_ns <= reach_ns && before_.map_id == pose.map_id;
-  const bool added = add_node(early ? before_ : pose, metric_ ? options_.node_ns : options_.begin_node_ns);
+  const bool added = add_node(early ? before_ : pose, metric() ? options_.node_ns : options_.begin_node_ns);
   before_ = pose;
   before_.points = {};
-  if (added && !metric_) {
+  if (added && !metric()) {
     try_to_begin(pose);
   } else if (added) {
     count_on(hint());
@@ -309,47 +272,40 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
       prior_kept_ = false;
       begin_window(pose);
     } else {
-      level();
+      anchor_.level(smoother_.newest().up);
     }
   }
-  return metric_ ? tell(pose) : MetricPose{};
+  return metric() ? tell(pose) : MetricPose{};
 }
 
 bool InertialOdometry::in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const {
-  if (!told_) return false;
+  if (!told()) return false;
   *map_id = map_id_;
-  *T_map_cam = {R_nav_map_.transpose() * T_nav_cam.R,
-                anchor_map_ + R_nav_map_.transpose() * (T_nav_cam.t - anchor_nav_) / smoother_.newest().scale()};
+  *T_map_cam = anchor_.in_map(T_nav_cam, smoother_.newest().scale());
   return true;
-}
-
-Mat6 InertialOdometry::grown_since_anchor(const VisualPose& pose) const {
-  const Mat6 to_here = adjoint(pose.T_map_cam.inverse() * anchor_pose_);
-  const Mat6 difference = pose.covariance - to_here * anchor_covariance_ * to_here.transpose();
-  // The map may know both better by now than it said of the anchor then: no less than nothing.
-  const Eigen::SelfAdjointEigenSolver<Mat6> eigen(0.5 * (difference + difference.transpose()));
-  const Mat6& axes = eigen.eigenvectors();
-  return axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose() + pose.own_covariance;
 }
 
 MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const S& x = smoother_.newest();
-  const InertialSmoother::Matrix& C = smoother_.covariance();
-  const double s = x.scale();
-  MetricPose out;
-  out.valid = true;
-  const Vec3 way = s * (R_nav_map_ * (pose.T_map_cam.t - anchor_map_));
-  out.T_nav_cam = {R_nav_map_ * pose.T_map_cam.R, anchor_nav_ + way};
-  if (told_) {
-    // The same frame as it would be told now.
-    const Vec3 again = anchor_nav_ + s * (R_nav_map_ * (last_map_.t - anchor_map_));
-    out.moved_by_m = again - last_nav_.t;
-    out.turned_by_rad = so3_log(R_nav_map_ * last_map_.R * last_nav_.R.transpose());
-  }
-  told_ = true;
-  last_map_ = pose.T_map_cam;
+  const Mat3& R_nav_map = anchor_.R_nav_map();
+  // From the two errors of the window's vertical to those about the frame's x and y: the map turns back by as much.
+  Mat3 to_nav = Mat3::Identity();
+  to_nav.bottomRightCorner<2, 2>() = -(R_nav_map * (skew(x.up) * x.up_basis())).topRows<2>();
+  Mat3 shared = doubt2() * to_nav * smoother_.covariance().block<3, 3>(S::kScale, S::kScale) * to_nav.transpose();
+  shared(0, 0) += options_.told_scale_sigma * options_.told_scale_sigma;
+  MetricPose out = pose_in_frame(pose, x.scale(), shared);
+  const double place =
+      std::hypot(options_.model.position_sigma * x.scale() * pose.median_depth, options_.told_place_sigma_m);
+  out.covariance.diagonal().head<3>().array() += place * place;
+  out.covariance.diagonal().tail<3>().array() += options_.told_turn_sigma_rad * options_.told_turn_sigma_rad;
+  tell_velocity(pose, &out);
+  return out;
+}
 
-  // Velocity of the newest moment, carried on to this frame.
+void InertialOdometry::tell_velocity(const VisualPose& pose, MetricPose* out) const {
+  const S& x = smoother_.newest();
+  const Mat3& R_nav_map = anchor_.R_nav_map();
+  // That of the newest moment, carried on to this frame.
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
   Preintegration d(x.bias);
   const rt::TimeNs t_ns = std::max(t_node, moment_of(pose));
@@ -357,36 +313,12 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const Vec3 omega = sight_of(pose, t_ns).gyro_rad_s - x.bias.gyro;
   const Vec3 body = x.velocity - options_.model.gravity_m_s2 * d.dt_s() * x.up + x.R_map_body * d.dv(x.bias);
   const Mat3 R_map_body = x.R_map_body * d.dR(x.bias.gyro);
-  out.velocity_m_s = R_nav_map_ * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));
-
-  // Errors of (log scale, vertical) move and tilt everything about the anchor; vision's own come on top: those of its
-  // measurements, those that it shares with its neighbours, and what it has drifted since the anchor.
-  const Eigen::Matrix<double, 3, 2> tilt_axes =
-      R_nav_map_ * (skew(x.up) * x.up_basis());  // up x basis: the turn that moves up so; the map turns back
-  Eigen::Matrix<double, 6, 3> J;
-  J.setZero();
-  J.block<3, 1>(0, 0) = way;
-  J.block<3, 2>(0, 1) = skew(way) * tilt_axes;
-  J.block<3, 2>(3, 1) = -tilt_axes;
-  Mat3 shared = doubt2() * C.block<3, 3>(S::kScale, S::kScale);
+  out->velocity_m_s = R_nav_map * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));
+  const Mat3 C = smoother_.covariance().block<3, 3>(S::kVelocity, S::kVelocity);
   const double scale_variance = options_.told_scale_sigma * options_.told_scale_sigma;
-  shared(0, 0) += scale_variance;
-  out.covariance = J * shared * J.transpose();
-  Mat6 to_nav = Mat6::Zero();
-  to_nav.topLeftCorner<3, 3>() = s * out.T_nav_cam.R;
-  to_nav.bottomRightCorner<3, 3>() = out.T_nav_cam.R;
-  const Mat6 grown = grown_since_anchor(pose);
-  out.covariance += to_nav * grown * to_nav.transpose();
-  const double place = std::hypot(options_.model.position_sigma * s * pose.median_depth, options_.told_place_sigma_m);
-  out.covariance.diagonal().head<3>().array() += place * place;
-  out.covariance.diagonal().tail<3>().array() += options_.told_turn_sigma_rad * options_.told_turn_sigma_rad;
-  out.velocity_covariance = doubt2() * R_nav_map_ * C.block<3, 3>(S::kVelocity, S::kVelocity) * R_nav_map_.transpose() +
-                            scale_variance * out.velocity_m_s * out.velocity_m_s.transpose();
-  out.velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;
-  out.log_scale_sigma = std::sqrt(shared(0, 0));
-  last_nav_ = out.T_nav_cam;
-  have_nav_ = true;
-  return out;
+  out->velocity_covariance = doubt2() * R_nav_map * C * R_nav_map.transpose() +
+                             scale_variance * out->velocity_m_s * out->velocity_m_s.transpose();
+  out->velocity_covariance.diagonal().array() += options_.told_speed_sigma_m_s * options_.told_speed_sigma_m_s;
 }
 
 }  // namespace godwit::vo

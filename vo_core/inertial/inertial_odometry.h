@@ -9,26 +9,10 @@
 
 #include "vo_core/inertial/inertial_alignment.h"
 #include "vo_core/inertial/inertial_smoother.h"
+#include "vo_core/inertial/metric_map.h"
 #include "vo_core/inertial/scale_aids.h"
 
 namespace godwit::vo {
-
-/// What the tracker said of one frame, as much of it as counts here.
-struct VisualPose {
-  rt::TimeNs t_ns = 0;
-  bool tracked = false;
-  std::uint32_t map_id = 0;
-  SE3 T_map_cam;
-  Mat6 covariance = Mat6::Zero();           ///< of the left twist (v, w) of T_cam_map, map units and rad
-  Mat6 own_covariance = Mat6::Zero();       ///< the same of this picture's own matches alone
-  Mat6 relative_covariance = Mat6::Zero();  ///< the same of the pose relative to a keyframe of the map
-  rt::TimeNs relative_age_ns = 0;           ///< that is so much older; 0: there is none
-  double median_depth = 1;                  ///< [map units]
-  std::span<const Eigen::Vector3f> points;  ///< of the map, some that the picture shows [map units]
-  bool map_moved = false;                   ///< the map was corrected before this frame; by it the last frame's camera
-  Vec3 moved_by = Vec3::Zero();             ///< moved [map units]
-  Vec3 turned_by = Vec3::Zero();            ///< and turned, rotation vector along the map's axes
-};
 
 struct InertialOdometryOptions {
   InertialModel model;
@@ -53,13 +37,12 @@ struct InertialOdometryOptions {
   /// it is taken instead.
   rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
-  /// Vision's error relative to a keyframe is taken for a walk since then; one that is older counts as so old, since
-  /// the tracker's keyframes are about this far apart and it does not stray while it sees nothing new.
-  rt::TimeNs stray_age_ns = 500 * rt::kNsPerMs;
-  /// What is hung on a wrong part of a map inherits its error and does not know it. Measured on a take-off over flat
-  /// ground (scenario gnss-loss): 20 mrad in the half second in which the map began, 10 mrad 2 s later, 2 mrad 6 s
-  /// later, told from the second second on: 0.5 mrad.
-  rt::TimeNs stray_memory_ns = 5 * rt::kNsPerSecond;
+  VisionStrayOptions stray;
+  /// What a correction of the map takes back vision strayed by over so long: as old as what bundle adjustment moves.
+  /// Chosen on euroc_mh01 with ten and twenty pictures a second and in the simulator between 0.5 and 1.5 s; with 3 s
+  /// and more lengths are off as if all moments moved alike.
+  rt::TimeNs strayed_ns = 800 * rt::kNsPerMs;
+  double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
   double told_place_sigma_m = 4e-3;    ///< an axis
@@ -68,20 +51,8 @@ struct InertialOdometryOptions {
   double told_speed_sigma_m_s = 6e-3;  ///< an axis
 };
 
-/// Position and attitude of the camera in the navigation frame: metres, z up; origin and heading where it began.
-struct MetricPose {
-  bool valid = false;  ///< the rest means something
-  SE3 T_nav_cam;
-  Vec3 velocity_m_s = Vec3::Zero();  ///< of the camera, along the navigation frame's axes
-  Mat6 covariance = Mat6::Zero();    ///< of (position [m], rotation vector [rad]), along the navigation frame's axes
-  Mat3 velocity_covariance = Mat3::Zero();
-  double log_scale_sigma = 0;
-  /// By how much better knowledge of scale, vertical and map moved the last frame's pose [m], and turned it.
-  Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();
-};
-
 /// One thread; no allocation after the constructor. Frames and readings in the order of their times.
-class InertialOdometry {
+class InertialOdometry : public MetricMap {
  public:
   explicit InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options = {});
 
@@ -96,15 +67,6 @@ class InertialOdometry {
   /// A pose in the frame that MetricPose has, in the map's own; map_id: of that map. False while it is not metric.
   bool in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_t* map_id) const;
 
-  bool metric() const { return metric_; }
-  /// How often it became metric: poses of one number stand in one frame.
-  std::uint32_t begun() const { return begun_; }
-  /// Attempts to begin, and why the last one was refused.
-  struct Refusal {
-    const char* text = "";
-    double value = 0, limit = 0;
-  };
-  const Refusal& refusal() const { return refusal_; }
   const InertialSmoother& smoother() const { return smoother_; }
   const ScaleState& aided_scale() const { return aids_.state(); }
   /// What they say of the scale against what the window knows without them: squared, in sigmas, one degree of freedom.
@@ -117,8 +79,6 @@ class InertialOdometry {
  private:
   /// What was measured since the newest moment, up to a time; returns how much of it nobody measured.
   rt::TimeNs measured_since(rt::TimeNs t_ns, Preintegration* since) const;
-  /// How fast vision strays now, by what it says itself.
-  void judge_stray(const VisualPose& pose);
   void hear_aids(const VisualPose& pose);
   /// What they say of the scale now, as far as it may be believed.
   ScaleHint hint();
@@ -144,20 +104,15 @@ class InertialOdometry {
     return std::max(dispute2_, turned * turned / 3);
   }
   void begin_window(const VisualPose& pose);
+  /// How far the course may be off in a map that begins so [rad, an axis].
+  double course_sigma(std::span<const InertialNode> window) const;
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
-  bool refuse(const char* text, double value, double limit) {
-    refusal_ = {text, value, limit};
-    return false;
-  }
   /// Biases and mounting are no further from what they were taken to be at first.
   bool plausible(double most_sigmas);
   bool convincing(const InertialSmoother::Report& report);
-  void level();
   MetricPose tell(const VisualPose& pose);
-  /// Covariance of the left twist of T_cam_map without what was wrong at the anchor already: that is in the frame's
-  /// origin and heading.
-  Mat6 grown_since_anchor(const VisualPose& pose) const;
+  void tell_velocity(const VisualPose& pose, MetricPose* out) const;
   VisionSight sight_of(const VisualPose& pose, rt::TimeNs t_ns) const;
   /// When that picture was taken on the sensor's clock, and the same as far as readings reach.
   rt::TimeNs moment_of(const VisualPose& pose) const;
@@ -186,24 +141,8 @@ class InertialOdometry {
   // nothing).
   Preintegration bridge_;
   rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
-  bool metric_ = false;
   bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
-  std::uint32_t begun_ = 0;
   std::uint32_t map_id_ = 0;
-  // How fast vision strays [rad^2/s, depths^2/s], and of which map and when that was judged last.
-  double rotation_rate_ = 0, position_rate_ = 0;
-  std::uint32_t stray_map_id_ = 0;
-  rt::TimeNs t_stray_ns_ = 0;
-  Refusal refusal_;
-  // From the map to the navigation frame: p_nav = anchor_nav + scale R_nav_map (p_map - anchor_map).
-  Mat3 R_nav_map_ = Mat3::Identity();
-  Vec3 anchor_map_ = Vec3::Zero(), anchor_nav_ = Vec3::Zero();
-  SE3 anchor_pose_;  ///< the anchor's, camera to map
-  Mat6 anchor_covariance_ = Mat6::Zero();
-  SE3 last_map_;  ///< the last pose told, as vision has it, corrections of the map taken in
-  SE3 last_nav_;  ///< the last pose told: where a new map is joined on
-  bool have_nav_ = false;
-  bool told_ = false;  ///< last_map_ is of the present window
   VisualPose before_;  ///< the last picture's, corrections of the map taken in; without points
   Vec3 last_seen_camera_ = Vec3::Zero();
 };

@@ -70,6 +70,7 @@ void InertialSmoother::set_prior(const InertialPrior& p) {
   prior_at_.bias = p.bias;
   prior_at_.mounting = p.mounting;
   prior_at_.time_offset_s = p.time_offset_s;
+  prior_at_.course.setZero();
   prior_H_.setZero();
   prior_b_.setZero();
   const auto hold = [&](int index, int n, double sigma) {
@@ -79,6 +80,7 @@ void InertialSmoother::set_prior(const InertialPrior& p) {
   hold(S::kAccelBias, 3, p.accel_bias_sigma);
   hold(S::kMounting, 3, p.mounting_sigma);
   hold(S::kTime, 1, p.time_sigma);
+  hold(S::kCourse, 3, p.course_sigma);
 }
 
 void InertialSmoother::add(const InertialNode& node) {
@@ -214,20 +216,30 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
   return report.ok ? report : give_up();
 }
 
-void InertialSmoother::move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift) {
-  const auto move = [&](InertialState* x) {
-    x->R_map_body = turn * x->R_map_body;
-    x->camera = pivot + turn * (x->camera - pivot) + shift;
+void InertialSmoother::correct_map(const MapCorrection& c) {
+  const auto share = [&](rt::TimeNs t_ns) {
+    if (c.to_ns <= c.from_ns) return 1.0;
+    return std::clamp(rt::to_seconds(t_ns - c.from_ns) / rt::to_seconds(c.to_ns - c.from_ns), 0.0, 1.0);
+  };
+  const auto move = [&](double part, Mat3* R, Vec3* camera) {
+    const Mat3 turn = so3_exp(part * c.turned_by);
+    *R = turn * *R;
+    *camera = c.pivot + turn * (*camera - c.pivot) + part * c.moved_by;
+    return turn;
+  };
+  const auto move_state = [&](double part, InertialState* x) {
+    const Mat3 turn = move(part, &x->R_map_body, &x->camera);
     x->velocity = turn * x->velocity;
     x->up = turn * x->up;
+    x->course = turn * x->course;
   };
+  if (count_ > 0) move_state(share(node(0).t_ns), &prior_at_);
   for (int i = 0; i < count_; ++i) {
-    move(&state(i));
+    const double part = share(node(i).t_ns);
+    move_state(part, &state(i));
     VisionSight& sight = nodes_[at(i)].sight;
-    sight.R_map_cam = turn * sight.R_map_cam;
-    sight.camera = pivot + turn * (sight.camera - pivot) + shift;
+    move(part, &sight.R_map_cam, &sight.camera);
   }
-  move(&prior_at_);
 }
 
 }  // namespace godwit::vo

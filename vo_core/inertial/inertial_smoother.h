@@ -1,5 +1,5 @@
 // A sliding window of moments tied by inertial measurements and by what vision saw: poses, velocities, biases, the
-// map's scale and vertical, the camera's mounting and time offset, with their covariance.
+// map's scale, vertical and course, the camera's mounting and time offset, with their covariance.
 #pragma once
 
 #include <array>
@@ -23,8 +23,17 @@ struct InertialPrior {
   double accel_bias_sigma = 0.15;  ///< [m/s^2]
   double mounting_sigma = 0.02;    ///< [rad]
   double time_sigma = 3e-3;        ///< [s]
+  double course_sigma = 0.03;      ///< [rad], an axis
   Vec3 mounting = Vec3::Zero();
   double time_offset_s = 0;
+};
+
+/// Bundle adjustment found out what vision had strayed by.
+struct MapCorrection {
+  rt::TimeNs from_ns = 0, to_ns = 0;  ///< over this time
+  Vec3 pivot = Vec3::Zero();          ///< the camera at the end of it, and how that
+  Vec3 turned_by = Vec3::Zero();      ///< turned, rotation vector along the map's axes,
+  Vec3 moved_by = Vec3::Zero();       ///< and moved [map units]
 };
 
 /// Gauss-Newton over a chain: only neighbours are tied, so that elimination from the oldest moment to the newest solves
@@ -52,7 +61,7 @@ class InertialSmoother {
   InertialState& state(int i) { return states_[at(i)]; }
   const InertialState& newest() const { return state(count_ - 1); }
 
-  /// The prior of the oldest moment: biases, mounting, time; nothing of scale, vertical and velocity.
+  /// The prior of the oldest moment: biases, mounting, time, course; nothing of scale, vertical and velocity.
   void set_prior(const InertialPrior& prior);
 
   /// What others say of the logarithm of the newest moment's scale, one sigma; 0: nobody does. It counts in each
@@ -77,9 +86,11 @@ class InertialSmoother {
   const InertialModel& model() const { return model_; }
   const CameraMounting& mounting() const { return mounting_; }
 
-  /// The map was corrected: all moments turned about `pivot` and moved [map units], and with them what they know of the
-  /// vertical.
-  void move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift);
+  /// The map was corrected. Moments within that time move and turn by their share of it, with what they know of the
+  /// vertical; those before stay, so that the ways between them become those of the corrected map. Moved as one, they
+  /// would keep what vision had strayed by: in the survey it flies 1 % too far between corrections, and each takes it
+  /// back.
+  void correct_map(const MapCorrection& correction);
 
  private:
   struct Work;

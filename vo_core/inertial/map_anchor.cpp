@@ -38,6 +38,11 @@ SE3 MapAnchor::in_nav(const SE3& T_map_cam, double scale) const {
   return {R_nav_map_ * T_map_cam.R, anchor_nav_ + way(T_map_cam, scale)};
 }
 
+SE3 MapAnchor::in_map(const SE3& T_nav_cam, double scale) const {
+  const Mat3 R_map_nav = R_nav_map_.transpose();
+  return {R_map_nav * T_nav_cam.R, anchor_map_.t + R_map_nav * (T_nav_cam.t - anchor_nav_) / scale};
+}
+
 Eigen::Matrix<double, 6, 3> MapAnchor::shared_errors(const Vec3& way) {
   Eigen::Matrix<double, 6, 3> J = Eigen::Matrix<double, 6, 3>::Zero();
   J.block<3, 1>(0, 0) = way;

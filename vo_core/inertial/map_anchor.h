@@ -25,6 +25,7 @@ class MapAnchor {
   const Mat3& R_nav_map() const { return R_nav_map_; }
   /// scale: metres in a map unit.
   SE3 in_nav(const SE3& T_map_cam, double scale) const;
+  SE3 in_map(const SE3& T_nav_cam, double scale) const;  ///< the same back
 
   /// How place and attitude (rotation vector, both along the frame's axes) answer to errors of the logarithm of the
   /// scale and of the vertical about the frame's x and y: all moves and tilts about the anchor. way: from there [m].

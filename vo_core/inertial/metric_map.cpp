@@ -1,0 +1,54 @@
+#include "vo_core/inertial/metric_map.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace godwit::vo {
+
+void VisionStray::judge(const VisualPose& pose) {
+  if (pose.map_id != map_id_) rotation_rate_ = position_rate_ = 0;
+  map_id_ = pose.map_id;
+  const double kept = std::exp(-2 * rt::to_seconds(pose.t_ns - t_judged_ns_) / rt::to_seconds(options_.memory_ns));
+  t_judged_ns_ = pose.t_ns;
+  rotation_rate_ *= kept;
+  position_rate_ *= kept;
+  if (pose.relative_age_ns <= 0) return;
+  const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.age_ns));
+  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
+  const auto variances = pose.relative_covariance.diagonal();
+  position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
+  rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
+}
+
+void MetricMap::begin(const VisualPose& pose, const Vec3& up) {
+  metric_ = true;
+  told_ = false;
+  ++begun_;
+  refusal_ = {};
+  anchor_.begin(pose, up, have_nav_ ? &last_nav_ : nullptr);
+}
+
+void MetricMap::correct(const VisualPose& pose) {
+  last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
+}
+
+MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared) {
+  MetricPose out;
+  out.valid = true;
+  out.T_nav_cam = anchor_.in_nav(pose.T_map_cam, scale);
+  if (told_) {
+    // The last pose as it would be told now.
+    const SE3 again = anchor_.in_nav(last_map_, scale);
+    out.moved_by_m = again.t - last_nav_.t;
+    out.turned_by_rad = so3_log(again.R * last_nav_.R.transpose());
+  }
+  const auto J = MapAnchor::shared_errors(anchor_.way(pose.T_map_cam, scale));
+  out.covariance = J * shared * J.transpose() + anchor_.grown(pose, scale);
+  out.log_scale_sigma = std::sqrt(shared(0, 0));
+  told_ = have_nav_ = true;
+  last_map_ = pose.T_map_cam;
+  last_nav_ = out.T_nav_cam;
+  return out;
+}
+
+}  // namespace godwit::vo
