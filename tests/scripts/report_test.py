@@ -173,7 +173,7 @@ class Report(unittest.TestCase):
 
     def test_pictures_lie_beside_the_page(self):
         names = {p.name for p in (self.folder / 'page').glob('*.png')}
-        self.assertEqual(names, {'trajectory-1.png', 'trajectory-2.png', 'trajectory-3.png', 'rpe.png', 'scale.png',
+        self.assertEqual(names, {*(f'trajectory-{n + 1}-{name}.png' for n, name in enumerate(FLIGHTS)), 'rpe.png', 'scale.png',
                                  'consistency.png', 'timeline.png', 'latency.png'})
 
     def test_a_browser_shows_it_all(self):
@@ -214,6 +214,21 @@ class Report(unittest.TestCase):
         for number in (0, 60, 80, 120):
             self.assertEqual(views.caption(run, number), f'{number / 30:.2f} s: TRACKING, {number} features')
         self.assertEqual(views.caption(run, 121), 'picture 121')
+
+    def test_runs_of_the_same_name_are_told_apart(self):
+        runs = [self.folder / 'twice' / day / 'street' for day in ('monday', 'tuesday')]
+        for run in runs:
+            shutil.copytree(self.folder / 'alone', run, ignore=shutil.ignore_patterns('view'))
+        names = ['monday/street', 'tuesday/street (1)', 'tuesday/street (2)']
+        done = report(*runs, runs[1], '--out', self.folder / 'told_apart')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        text = (self.folder / 'told_apart/report.html').read_text()
+        self.assertIn(f'<h1>{", ".join(names)}</h1>', text)
+        for name in names:
+            for place in (f'</span>{name}</h3>', f'</span>{name}</th>', f'<figcaption>{name}</figcaption>', f'<summary>{name}: all of'):
+                self.assertIn(place, text)
+        self.assertEqual({p.name for p in (self.folder / 'told_apart').glob('trajectory*')},
+                         {'trajectory-1-monday-street.png', 'trajectory-2-tuesday-street-1.png', 'trajectory-3-tuesday-street-2.png'})
 
     def test_without_a_truth_nothing_is_said_of_errors(self):
         run = self.folder / 'untrue'
