@@ -177,8 +177,9 @@ def write(runs, judged, colours, pictures, views, notes):
                 'trajectory'),
         section('Error over one second', 'How far the motion within one second is wrong (RPE), by the time of its beginning.',
                 shown('rpe', 'relative pose error over time'), 'rpe'),
-        section('Scale', 'By how much pieces of the way came out too long. The band is what an inertial run tells of its own '
-                'scale.', shown('scale', 'local scale over time'), 'scale'),
+        section('Scale', 'By how much pieces of the way came out too long.' +
+                (' The band is what an inertial run tells of its own scale.' if any(r.metric for r in runs) else ''),
+                shown('scale', 'local scale over time'), 'scale'),
         section('What the covariance says', 'Rotation and direction of translation relative to the reference keyframe. Above 1, '
                 'and below the diagonal: too sure; the other way: too careful.', shown('consistency', 'consistency'), 'consistency'),
         section('States and reasons', 'A frame counts as tracked with at least 30 features (dashed). Triangles are events other '
