@@ -1,5 +1,7 @@
 #include "firmware_app/commands/foreign_sequence.h"
 
+#include <algorithm>
+#include <array>
 #include <csignal>
 #include <cstring>
 #include <filesystem>
@@ -17,11 +19,15 @@ namespace {
 namespace fs = std::filesystem;
 constexpr int kLookMs = 20;
 constexpr int kNoInterpreter = 127;
+/// Grey left and right, colour left and right; the colour ones are a download of their own, so image_2 often lies
+/// alone.
+constexpr std::array kKittiPictures{"image_0", "image_1", "image_2", "image_3"};
 
 bool is_kitti(const fs::path& folder) {
   std::error_code ignored;
-  return fs::is_directory(folder / "image_0", ignored) && fs::is_regular_file(folder / "times.txt", ignored) &&
-         !fs::exists(folder / "rgb.txt", ignored);
+  const bool pictures =
+      std::ranges::any_of(kKittiPictures, [&](const char* name) { return fs::is_directory(folder / name, ignored); });
+  return pictures && fs::is_regular_file(folder / "times.txt", ignored) && !fs::exists(folder / "rgb.txt", ignored);
 }
 
 /// Runs a tool of ours to its end. Error: it could not be run, or ended with another code than 0.

@@ -50,7 +50,7 @@ void add_replay_command(CLI::App* app, ReplayArguments* a) {
           "SEQUENCE", a->sequence,
           "Folder in TUM layout (rgb.txt, pictures, camera.yaml) or EuRoC/ASL layout (mav0/cam0 with data.csv, "
           "data/ and sensor.yaml; mav0 or cam0 itself will do); or a video, or a folder of KITTI's odometry benchmark "
-          "(image_0/, times.txt, calib.txt), which becomes a sequence in OUT/sequence first")
+          "(image_0/ or image_2/, times.txt, calib.txt), which becomes a sequence in OUT/sequence first")
       ->required();
   replay->add_option("--camera", a->video.calibration, "With a video: its camera's calibration (camera.yaml)")
       ->type_name("FILE");

@@ -12,12 +12,13 @@ import stand_in  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-# A run of one picture in which nothing was tracked; the folder is relative, as scripts/demo names it.
+# A run of one picture in which nothing was tracked.
 FLYER = r'''#!/usr/bin/python3
 import json, pathlib, sys
 a = sys.argv
 with open(pathlib.Path(__file__).parent / 'flown', 'a') as log:
     log.write(' '.join(a[1:]) + chr(10))
+(pathlib.Path(__file__).parent / 'stood').write_text(str(pathlib.Path.cwd()))
 out = pathlib.Path(a[a.index('--out') + 1])
 out.mkdir(parents=True)
 (out / 'frames.csv').write_text('t,ms,tracked,map_id,state,features,fate,reason\n0.0,1.0,0,,INITIALISING,0,processed,first view\n')
@@ -64,19 +65,20 @@ class Demo(stand_in.StandInTest):
         self.assertEqual(len(flown), 2)
         for words in ('fly street', '--pace real', '--detector on', '--gate on', '--imu on', '--frames 450'):
             self.assertIn(words, flown[0])
-        self.assertIn('--view out/demo/seen/view', flown[1])
+        self.assertIn(f'--view {self.root}/out/demo/seen/view', flown[1])
 
     def test_the_sequence_beside_it(self):
         (self.folder / 'place/shared/data/tum_fr1_xyz').mkdir(parents=True)
+        out = self.root / 'out/demo'
         self.ends_with_a_report(self.run_it('--fast'))
-        self.assertRegex(self.flown.read_text(), r'^replay .*tum_fr1_xyz --out out/demo --view out/demo/view .*--frames 450\n$')
+        self.assertRegex(self.flown.read_text(), rf'^replay .*tum_fr1_xyz --out {out} --view {out}/view .*--frames 450\n$')
 
     def test_a_sequence_of_ones_own(self):
         (self.folder / 'mine').mkdir()
         done = self.run_it('--fast', 'mine', '--pace', 'real')
         self.ends_with_a_report(done)
         self.assertIn('No ground truth lies beside the sequence', done.stdout)
-        self.assertEqual(self.flown.read_text(), f'replay {self.folder}/mine --out out/demo --frames 450 --pace real\n')
+        self.assertEqual(self.flown.read_text(), f'replay mine --out {self.root}/out/demo --frames 450 --pace real\n')
 
     def test_what_replay_makes_a_sequence_of(self):
         (self.folder / 'mine/image_0').mkdir(parents=True)
@@ -84,12 +86,39 @@ class Demo(stand_in.StandInTest):
         for words in (('mine',), ('film.mp4', '--fov', '70')):
             self.flown.unlink(missing_ok=True)
             self.ends_with_a_report(self.run_it('--fast', *words))
-            self.assertTrue(self.flown.read_text().startswith(f'replay {self.folder}/{words[0]} --out out/demo '))
+            self.assertTrue(self.flown.read_text().startswith(f'replay {words[0]} --out {self.root}/out/demo '))
+
+    def test_a_file_that_is_named_is_looked_for_where_the_caller_stands(self):
+        (self.folder / 'film.mp4').write_text('moving')
+        (self.folder / 'mine.yaml').write_text('model: pinhole\n')
+        self.ends_with_a_report(self.run_it('--fast', 'film.mp4', '--camera', 'mine.yaml'))
+        words = self.flown.read_text().split()
+        stood = pathlib.Path((self.flown.parent / 'stood').read_text())
+        self.assertTrue((stood / words[words.index('--camera') + 1]).is_file(), words)
+        self.assertTrue((stood / words[1]).is_file(), words)
+
+    def asked_for(self, *arguments):
+        """The packages that scripts/setup would install on a machine that has none."""
+        tools = self.folder / 'tools'
+        tools.mkdir(exist_ok=True)
+        for name, does in (('dpkg-query', 'true'), ('apt-get', 'case "$1" in install) shift; echo "$@" >"$0.told" ;; esac; exit 1'), ('id', 'echo 0'), ('sleep', 'true')):
+            (tools / name).write_text(f'#!/bin/sh\n{does}\n')
+            (tools / name).chmod(0o755)
+        subprocess.run(['sh', str(ROOT / 'scripts/setup'), *arguments], capture_output=True, check=False,
+                       env=os.environ | {'PATH': f'{tools}:{os.environ["PATH"]}'})
+        return [p for p in (tools / 'apt-get.told').read_text().split() if not p.startswith('-')]
 
     def test_few_packages_are_asked_for(self):
         packages = re.search(r'PACKAGES="\n(.*?)"', (ROOT / 'scripts/setup').read_text(), re.DOTALL).group(1).split()
         self.assertLessEqual(len(packages), 40)
         self.assertNotIn('clang-14', packages)
+
+    def test_a_video_needs_opencv_for_python(self):
+        few = self.asked_for('--demo')
+        self.assertNotIn('python3-opencv', few)
+        self.assertEqual(set(self.asked_for('--video')) - set(few), {'python3-opencv'})
+        demo = (ROOT / 'scripts/demo').read_text()
+        self.assertIn('if [ -f "$sequence" ]; then "$root/scripts/setup" --video', demo)
 
     def test_what_an_earlier_one_left_is_not_shown(self):
         old = self.root / 'out/demo/view'

@@ -1,7 +1,11 @@
 """scripts/evaluate against trajectories whose error is known."""
 import importlib.machinery
 import importlib.util
+import os
 import pathlib
+import signal
+import subprocess
+import sys
 import tempfile
 import unittest
 
@@ -49,6 +53,18 @@ class Evaluate(unittest.TestCase):
         self.assertEqual(result['first_pose_after_frames'], 4)
         self.assertEqual(result['tracked_share_after_first_pose'], 1.0)
         self.assertAlmostEqual(result['tracked_share'], 301 / 305)
+
+    def test_a_reader_that_leaves_early_is_no_trace(self):
+        t, p = curve(301)
+        write_run(self.folder, t, p, [1] * len(t))
+        # Nobody reads: the very first line finds the pipe closed.
+        reader, writer = os.pipe()
+        os.close(reader)
+        with os.fdopen(writer, 'w') as out:
+            done = subprocess.run([sys.executable, str(ROOT / 'scripts/evaluate'), str(self.folder / 'truth.txt'), str(self.folder)],
+                                  stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+        self.assertEqual(done.stderr, '')
+        self.assertEqual(done.returncode, -signal.SIGPIPE)
 
     def test_known_error_is_found(self):
         t, p = curve(301)

@@ -121,6 +121,16 @@ class FromKitti(unittest.TestCase):
         self.assertEqual(done.returncode, 2)
         self.assertIn('calib.txt', done.stderr)
 
+    def test_colour_alone_is_taken_too(self):
+        self.little()
+        shutil.rmtree(self.sequence / 'image_0')
+        done = run(GODWIT, 'replay', self.sequence, '--sequential', '--out', self.folder / 'run')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(json.loads((self.folder / 'run/summary.json').read_text())['frames'], 3)
+        yaml = (self.folder / 'run/sequence/camera.yaml').read_text()
+        for line in ('fx: 707.0', 'image_channels: 3', 'camera 2'):
+            self.assertIn(line, yaml)
+
     def test_what_is_written(self):
         self.little(poses_txt='1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 -2 0 0 1 3\n0 0 1 0 0 1 0 0 -1 0 0 5\n')
         done = convert(self.sequence, self.out, '--camera', 2)

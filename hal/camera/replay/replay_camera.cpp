@@ -41,7 +41,7 @@ rt::Result<SequenceLayout> find_sequence(const std::string& folder) {
   }
   return rt::Error{folder +
                    ": no sequence: neither rgb.txt (TUM layout) nor mav0/cam0/data.csv (EuRoC layout) is there, "
-                   "nor image_0 and times.txt (KITTI's odometry benchmark)"};
+                   "nor image_0 or image_2 with times.txt (KITTI's odometry benchmark)"};
 }
 
 rt::Result<std::unique_ptr<ReplayCamera>> ReplayCamera::open(const std::string& folder, const ReplayOptions& options) {
