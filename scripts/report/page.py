@@ -13,7 +13,7 @@ STYLE = '''
 body { margin: 0; background: var(--back); color: var(--ink); font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; }
 main { max-width: 1180px; margin: 0 auto; padding: 28px 22px 60px; }
 h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 18px; margin: 0 0 4px; } h3 { font-size: 14px; margin: 0 0 6px; }
-p.what { color: var(--soft); margin: 0 0 12px; max-width: 80ch; }
+p.bad { color: var(--bad); margin: 0 0 12px; } p.what { color: var(--soft); margin: 0 0 12px; max-width: 80ch; }
 section { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 18px 20px; margin: 16px 0; }
 .runs { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(330px, 1fr)); }
 #trajectory figure { max-width: 800px; }
@@ -35,6 +35,7 @@ summary { cursor: pointer; color: var(--soft); } code { font-size: 12.5px; } .sc
 '''
 EVENTS_SHOWN = 12
 WRONG_SHOWN = 10
+DROPPED_SHARE = 0.02
 
 
 def escape(text):
@@ -94,6 +95,14 @@ def wrong_frames(run, judged):
     return f'<table>{"".join(rows[:WRONG_SHOWN])}</table>{folded(rows[WRONG_SHOWN:])}'
 
 
+def dropped(run):
+    """A word where the machine had no time for many of the pictures: what was tracked says little of the odometry then."""
+    lost = sum(run.summary.get(key) or 0 for key in ('dropped_late', 'dropped_no_slot'))
+    if lost <= DROPPED_SHARE * run.summary['frames']:
+        return ''
+    return f'<p class="bad">{lost} of {run.summary["frames"]} pictures were dropped: the machine was too slow, or too busy, for this pace.</p>'
+
+
 def first(runs, judged, colours):
     body = ''
     for n, (run, j) in enumerate(zip(runs, judged)):
@@ -103,7 +112,8 @@ def first(runs, judged, colours):
             told = 'Not one frame was tracked: nothing can be false.'
         else:
             told = f'False and sure: a tracked frame whose position is off by more than {figures.text_of(j.limit_m, "length")}.'
-        body += f'<div>{heading(n, run, colours[n])}{tiles(n, run, j)}<p class="what">{escape(told)}</p>{wrong_frames(run, j)}</div>'
+        body += (f'<div>{heading(n, run, colours[n])}{tiles(n, run, j)}{dropped(run)}<p class="what">{escape(told)}</p>'
+                 f'{wrong_frames(run, j)}</div>')
     return f'<section id="first"><div class="runs">{body}</div></section>'
 
 

@@ -190,9 +190,15 @@ def timeline(runs):
         band.set(ylim=(0, 1), yticks=[], title=run.name if len(runs) > 1 else '')
         band.grid(False)
         band.spines['left'].set_visible(False)
-        features = run.column('features')
-        curve.fill_between(t, features, color=colour(n), alpha=0.25, lw=0)
-        curve.plot(t, features, color=colour(n), lw=0.8)
+        # A picture that was not flown has no features, which is another thing than none.
+        flown = np.array([f['fate'] == 'processed' for f in run.frames], bool)
+        seen_t, features = t[flown], run.column('features')[flown]
+        curve.fill_between(seen_t, features, color=colour(n), alpha=0.25, lw=0)
+        curve.plot(seen_t, features, color=colour(n), lw=0.8)
+        curve.plot(t[~flown], np.zeros((~flown).sum()), '|', ms=5, color='#22262b', alpha=0.6,
+                   label='not flown' if (~flown).any() else None)
+        if (~flown).any():
+            curve.legend(fontsize=8, loc='upper right')
         curve.axhline(30, color=BAD, lw=0.9, ls='--')
         curve.set(ylabel='features', ylim=(0, None))
     axes[-1, 0].set_xlim(0, end_of(runs))

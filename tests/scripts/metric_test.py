@@ -99,6 +99,14 @@ class Metric(unittest.TestCase):
         self.assertEqual(r['accel_bias'], [3.0, 4.0, 5.0])
         self.assertEqual(r['tracked_share_after_metric'], 1.0)
 
+    def test_what_is_printed_is_for_people(self):
+        self.write_truth()
+        self.write_run()
+        done = subprocess.run([sys.executable, str(ROOT / 'scripts/evaluate'), str(self.folder / 'truth.txt'), str(self.folder), '--metric'],
+                              capture_output=True, text=True, check=True)
+        self.assertIn(f'{"accel_bias":36s} 3.0000 4.0000 5.0000\n', done.stdout)
+        self.assertNotIn('[', done.stdout)
+
     def test_a_sigma_half_as_large_is_found_out(self):
         self.write_truth()
         self.write_run(stated=0.25)

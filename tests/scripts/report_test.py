@@ -300,6 +300,27 @@ class Report(unittest.TestCase):
         self.assertGreaterEqual(Page(text).figures[0, 'judged.false_sure'][0], 2)
         self.assertLess(text.index('off by'), text.index('The way flown'))
 
+    def test_many_dropped_pictures_are_told_first(self):
+        run, said = self.folder / 'busy', 'were dropped: the machine was too slow'
+        shutil.copytree(self.folder / 'alone', run, ignore=shutil.ignore_patterns('view'))
+        self.assertEqual(report(run, '--out', self.folder / 'idle').returncode, 0)
+        self.assertNotIn(said, (self.folder / 'idle/report.html').read_text())
+        summary, lines = json.loads((run / 'summary.json').read_text()), (run / 'frames.csv').read_text().splitlines()
+        fate, taken = lines[0].split(',').index('fate'), 0
+        for n, line in enumerate(lines):
+            cells = line.split(',')
+            if n and taken < 4 and cells[fate] == 'processed' and cells[lines[0].split(',').index('tracked')] == '0':
+                cells[fate] = 'dropped_late'
+                lines[n], taken = ','.join(cells), taken + 1
+        (run / 'frames.csv').write_text('\n'.join(lines) + '\n')
+        summary['processed'] -= taken
+        summary['dropped_late'] += taken
+        (run / 'summary.json').write_text(json.dumps(summary))
+        done = report(run)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        text = (run / 'report/report.html').read_text()
+        self.assertIn(f'{taken} of 80 pictures {said}', text[:text.index('The way flown')])
+
     def test_a_run_without_one_tracked_frame(self):
         run = self.folder / 'blind'
         subprocess.run([str(GODWIT), 'fly', 'street', '--sequential', '--frames', '3', '--out', str(run)], check=True,
