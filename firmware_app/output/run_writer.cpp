@@ -126,7 +126,8 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     if (with_age_) age_ms_.push_back(rt::to_ms(r.t_done_ns - r.t_capture_ns));
   }
   count(r, &counters_);
-  if (!processed && bad_reasons_.size() < kReasonsKept) bad_reasons_.emplace_back(r.reason.view());
+  if (!processed && bad_reasons_.size() < kReasonsKept && std::ranges::count(bad_reasons_, r.reason.view()) == 0)
+    bad_reasons_.emplace_back(r.reason.view());
 
   line_.clear();
   append_time(r.t_source_ns, &line_);

@@ -63,7 +63,7 @@ class RunWriter final : public FrameSink {
 
   /// Valid at any time; complete after the last take().
   RunSummary summary() const;
-  /// First few reasons why pictures were not flown, for the user's eyes.
+  /// First few reasons why pictures were not flown, each once, for the user's eyes.
   const std::vector<std::string>& bad_reasons() const { return bad_reasons_; }
 
  private:

@@ -18,6 +18,7 @@ class ViewWriter final : public FrameView {
 
   void look(const rt::FrameMeta& frame, const rt::ImageView& grey, const rt::MaskPyramidView& mask,
             std::span<const vo::FrameFeature> features) override;
+  bool counts() const override { return false; }
 
   std::int64_t written() const { return written_; }
   /// The first picture that could not be written, and why; empty: none.

@@ -109,6 +109,8 @@ struct FrameRecord {
   rt::TimeNs wall_ns = 0;         ///< the tracking call, pyramid included
   rt::TimeNs thread_cpu_ns = 0;   ///< processor time of the tracking call
   rt::TimeNs mapper_cpu_ns = 0;   ///< processor time of the mapping since the last frame
+  rt::TimeNs view_ns = 0;         ///< in neither of the two: what a FrameView took that does not count
+  rt::TimeNs view_cpu_ns = 0;     ///< and its processor time
   std::array<rt::TimeNs, kStages> stage_ns{};
   vo::State state = vo::State::kInitialising;  ///< processed frames
   std::array<double, 3> t_world_cam{};

@@ -18,6 +18,8 @@ class FrameView {
   /// pose; empty without one. All valid during the call only.
   virtual void look(const rt::FrameMeta& frame, const rt::ImageView& grey, const rt::MaskPyramidView& mask,
                     std::span<const vo::FrameFeature> features) = 0;
+  /// Whether what look() takes is time of the frame, as it is in flight. Not where pictures are made for people.
+  virtual bool counts() const { return true; }
 };
 
 }  // namespace godwit::app

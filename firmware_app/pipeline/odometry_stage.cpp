@@ -69,9 +69,7 @@ class OdometryStage final : public FrameStage {
     if (inertial_ != nullptr && gyro_helps_) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
     if (inertial_ != nullptr) input.expected = inertial_->expected(frame.meta.t_capture_ns);
     const vo::FrameResult result = tracker_->track(input);
-    if (view_ != nullptr)
-      view_->look(frame.meta, input.grey, input.mask,
-                  result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
+    if (view_ != nullptr) look(frame.meta, input, result, record);
     if (masks_ != nullptr) exchange_.frame_done(frame.meta.t_capture_ns, result);
     fill(result, record);
     order_.room = result.order.room;
@@ -140,6 +138,16 @@ class OdometryStage final : public FrameStage {
     out.initializer.readout = options.readout_frames;
     out.shutter.readout_s = options.readout_s;
     return out;
+  }
+
+  void look(const rt::FrameMeta& meta, const vo::FrameInput& input, const vo::FrameResult& result,
+            FrameRecord* record) {
+    const rt::TimeNs wall = rt::monotonic_now_ns(), cpu = rt::thread_cpu_now_ns();
+    view_->look(meta, input.grey, input.mask,
+                result.tracked ? tracker_->features() : std::span<const vo::FrameFeature>());
+    if (view_->counts()) return;
+    record->view_ns = rt::monotonic_now_ns() - wall;
+    record->view_cpu_ns = rt::thread_cpu_now_ns() - cpu;
   }
 
   static void fill(const vo::FrameResult& result, FrameRecord* record) {

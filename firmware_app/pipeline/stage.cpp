@@ -11,9 +11,9 @@ void track_frame(FrameStage* stage, const rt::FrameHandle& handle, FrameRecord* 
   const rt::TimeNs wall = rt::monotonic_now_ns();
   const rt::TimeNs cpu = rt::thread_cpu_now_ns();
   stage->track(handle, record);
-  record->thread_cpu_ns = rt::thread_cpu_now_ns() - cpu;
+  record->thread_cpu_ns = rt::thread_cpu_now_ns() - cpu - record->view_cpu_ns;
   record->t_done_ns = rt::monotonic_now_ns();
-  record->wall_ns = record->t_done_ns - wall;
+  record->wall_ns = record->t_done_ns - wall - record->view_ns;
 }
 
 }  // namespace godwit::app

@@ -4,6 +4,7 @@ a browser opens it without a word.
   report_test.py GODWIT [unittest's arguments]
 """
 import base64
+import csv
 import html.parser
 import io
 import json
@@ -12,6 +13,7 @@ import pathlib
 import random
 import re
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -198,6 +200,16 @@ class Report(unittest.TestCase):
         self.assertIn(f'data-shown="{n} of {n}"', done.stdout[-400:] + done.stdout[:6000])
         self.assertIn('data-wide="true"', done.stdout)
         self.assertEqual([line for line in done.stderr.splitlines() if 'CONSOLE' in line], [])
+
+    def test_pictures_of_what_was_seen_cost_no_time_of_a_frame(self):
+        # Drawing one takes some fifty times what tracking does.
+        with open(self.folder / 'alone/frames.csv', newline='', encoding='ascii') as file:
+            rows = list(csv.DictReader(file))
+        drawn = {int(p.stem) for p in (self.folder / 'alone/view').glob('*.png')}
+        cost = {seen: [float(r['thread_cpu_ms']) for n, r in enumerate(rows) if r['tracked'] == '1' and (n in drawn) == seen]
+                for seen in (True, False)}
+        self.assertGreater(len(cost[True]), 1)
+        self.assertLess(statistics.median(cost[True]), 10 * statistics.median(cost[False]))
 
     def test_an_ate_says_whether_it_was_scaled(self):
         words = ('ATE in metres, not scaled', 'ATE, after a similarity')

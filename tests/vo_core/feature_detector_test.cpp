@@ -11,6 +11,7 @@
 #include "tests/vo_core/plain_fast.h"
 #include "tests/vo_core/synthetic_picture.h"
 #include "vo_core/features/fast_corner.h"
+#include "vo_core/features/shi_tomasi.h"
 
 namespace godwit::vo {
 namespace feature_detector_test {
@@ -59,7 +60,7 @@ TEST(FeatureDetector, GivesTheWantedNumberWellSpread) {
     EXPECT_GE(std::min(at.x(), at.y()), 8);
     EXPECT_LT(at.x(), level.width - 8);
     EXPECT_LT(at.y(), level.height - 8);
-    EXPECT_EQ(f.score, FeatureDetector::shi_tomasi_score(level, at.x(), at.y()));
+    EXPECT_EQ(f.score, shi_tomasi(level, at.x(), at.y()));
     EXPECT_GT(fast_score(level, at.x(), at.y()), static_cast<int>(2.5f * grey_noise_at(detector.noise(), f.level)));
     for (std::size_t j = 0; j < i; ++j) EXPECT_GE((f.px - points[j]).norm(), 4.0f);
   }

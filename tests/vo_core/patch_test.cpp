@@ -86,13 +86,12 @@ TEST(Patch, LanesAreSampledEachAtItsOwnPlace) {
   }
 }
 
-TEST(Patch, OneSampleEqualsTheGridsAndTheDefinition) {
+TEST(Patch, AGridOfOneSampleEqualsTheDefinition) {
   const test::Picture picture = noise(40, 30);
   std::array<float, 4> grid{};
   for (float y = 0.01F; y < 28.0F; y += 0.61F) {
     for (float x = 0.01F; x < 34.0F; x += 0.83F) {
       const double expected = bilinear(picture.view(), static_cast<double>(x), static_cast<double>(y));
-      ASSERT_NEAR(static_cast<double>(interpolate(picture.view(), x, y)), expected, kAllowed);
       sample_grid(picture.view(), x, y, 1, 1, grid.data());
       ASSERT_NEAR(static_cast<double>(grid[0]), expected, kAllowed);
     }

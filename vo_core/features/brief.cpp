@@ -46,10 +46,9 @@ bool BriefPattern::describe(const rt::PyramidView& pyramid, const Vec2f& px, Bri
   const int x = static_cast<int>(std::lround((px.x() + 0.5f) * kScale - 0.5f));
   const int y = static_cast<int>(std::lround((px.y() + 0.5f) * kScale - 0.5f));
   if (x < kReach || y < kReach || x >= image.width - kReach || y >= image.height - kReach) return false;
-  const std::uint8_t* centre = image.row(y) + x;
   // Four pixels together: single ones are too noisy to compare.
   const auto grey = [&](int dx, int dy) {
-    const std::uint8_t* p = centre + static_cast<std::ptrdiff_t>(dy) * image.stride + dx;
+    const std::uint8_t* p = image.row(y + dy) + x + dx;
     return p[0] + p[1] + p[image.stride] + p[image.stride + 1];
   };
   for (std::size_t w = 0; w < out->word.size(); ++w) {

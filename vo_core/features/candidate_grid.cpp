@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 
+#include "hal/rt/count.h"
 #include "vo_core/features/shi_tomasi.h"
 
 namespace godwit::vo {
@@ -44,28 +45,27 @@ void CandidateGrid::add_corner(int x, int y, int level, int fast_score) {
 void CandidateGrid::score_corners(const rt::PyramidView& pyramid, int fast_threshold, std::span<const float> min_score,
                                   float level_weight) {
   candidates_.clear();
-  const std::size_t levels = levels_;
-  const std::size_t cells = cell_begin_.size() - 1;
+  const std::size_t levels = levels_, cells = cell_begin_.size() - 1;
   for (std::size_t cell = 0; cell < cells; ++cell) {
-    cell_begin_[cell] = static_cast<std::int32_t>(candidates_.size());
+    cell_begin_[cell] = rt::count_of(candidates_);
     const std::span<const Slot> slots(&slots_[cell * levels], levels);
     int strongest = 0;
     for (const Slot& slot : slots) {
       if (slot.count > 0) strongest = std::max<int>(strongest, slot.corner[0].fast);
     }
     float weight = 1.0f;
-    for (std::size_t level = 0; level < levels; ++level, weight *= level_weight) {
+    for (int level = 0; level < levels_; ++level, weight *= level_weight) {
       for (int i = 0; i < slots[level].count; ++i) {
         const Corner& corner = slots[level].corner[i];
         const bool weak = strongest > fast_threshold && corner.fast <= fast_threshold;
         const float score = shi_tomasi(pyramid.level[level], corner.x, corner.y);
         if (score < min_score[level]) continue;
-        candidates_.push_back({to_level0(corner.x, corner.y, static_cast<int>(level)), score, weight * score, corner.x,
-                               corner.y, static_cast<std::int8_t>(level), weak, true});
+        candidates_.push_back({from_level(corner.x, corner.y, level), score, weight * score, corner.x, corner.y,
+                               static_cast<std::int8_t>(level), weak, true});
       }
     }
   }
-  cell_begin_[cells] = static_cast<std::int32_t>(candidates_.size());
+  cell_begin_[cells] = rt::count_of(candidates_);
 }
 
 template <typename F>

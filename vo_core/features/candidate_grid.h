@@ -9,6 +9,7 @@
 
 #include "hal/rt/image.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/image/levels.h"
 
 namespace godwit::vo {
 
@@ -23,16 +24,10 @@ struct Candidate {
   bool alive;  // not yet ruled out
 };
 
-/// Level-0 position of pixel (x, y) of a level (see rt::PyramidView).
-inline Vec2f to_level0(int x, int y, int level) {
-  const float scale = static_cast<float>(1 << level);
-  return {(static_cast<float>(x) + 0.5f) * scale - 0.5f, (static_cast<float>(y) + 0.5f) * scale - 0.5f};
-}
-
 /// Distance [level-0 px] below which two features, found on these levels, are held to be one.
 inline float min_spacing_px(int level_a, int level_b) {
   const int coarser = level_a > level_b ? level_a : level_b;
-  const float spacing = 1.5f * static_cast<float>(1 << coarser);
+  const float spacing = 1.5f * level_scale(coarser);
   return spacing > 4.0f ? spacing : 4.0f;
 }
 

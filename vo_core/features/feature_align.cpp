@@ -84,9 +84,7 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
   Vec2f p = *px;
   float gain = 1.0f, offset = mean;
   for (int it = 0; it < max_iterations; ++it) {
-    if (!(p.x() >= kPatchHalf && p.y() >= kPatchHalf && p.x() < static_cast<float>(image.width - kPatchHalf - 1) &&
-          p.y() < static_cast<float>(image.height - kPatchHalf - 1)))
-      return result;
+    if (!window_inside(image, p, kPatchHalf, kPatchHalf + 1)) return result;
     const float sx = p.x() - kPatchHalf, sy = p.y() - kPatchHalf;
     const int xi = static_cast<int>(sx), yi = static_cast<int>(sy);
     const auto fx = hn::Set(df, sx - static_cast<float>(xi)), fy = hn::Set(df, sy - static_cast<float>(yi));

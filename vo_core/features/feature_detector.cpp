@@ -5,6 +5,7 @@
 #include <cassert>
 #include <cmath>
 
+#include "hal/rt/count.h"
 #include "vo_core/features/candidate_grid.h"
 #include "vo_core/features/edgelet.h"
 #include "vo_core/features/fast_corner.h"
@@ -123,7 +124,7 @@ bool FeatureDetector::Buffers::near_last_edgelets(const Vec2f& px, int column, i
     if (other < 0) continue;
     const Edgelet& e = edgelets[other];
     const float spacing = min_spacing_px(0, 0);
-    if ((to_level0(e.x, e.y, edgelet_levels[other]) - px).norm() < spacing) return true;
+    if ((from_level(e.x, e.y, edgelet_levels[other]) - px).norm() < spacing) return true;
   }
   return false;
 }
@@ -152,8 +153,8 @@ void FeatureDetector::Buffers::find_edgelets(const rt::PyramidView& pyramid, con
         best = found;
         best_level = level;
       }
-      if (best_level < 0 || near_last_edgelets(to_level0(best.x, best.y, best_level), column, row)) continue;
-      edgelet_of_cell[cell_index(column, row)] = static_cast<std::int32_t>(edgelets.size());
+      if (best_level < 0 || near_last_edgelets(from_level(best.x, best.y, best_level), column, row)) continue;
+      edgelet_of_cell[cell_index(column, row)] = rt::count_of(edgelets);
       edgelets.push_back(best);
       edgelet_levels.push_back(static_cast<std::int8_t>(best_level));
     }
@@ -180,7 +181,7 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   int levels = std::min(options_.levels, pyramid.levels);
   if (mask.levels > 0) levels = std::min(levels, mask.levels);
   const int border = std::max(options_.border_px, kShiTomasiBorder);
-  wanted = std::min(wanted, static_cast<int>(b.ids.size()));
+  wanted = std::min(wanted, rt::count_of(b.ids));
 
   noise_ = grey_noise(pyramid.level[0]);
   b.grid.clear();
@@ -227,7 +228,7 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
   b.find_edgelets(pyramid, mask, levels, border);
   for (std::size_t i = 0; i < b.edgelets.size(); ++i) {
     const Edgelet& e = b.edgelets[i];
-    const Vec2f px = to_level0(e.x, e.y, b.edgelet_levels[i]);
+    const Vec2f px = from_level(e.x, e.y, b.edgelet_levels[i]);
     b.tree.add_candidate(px.x(), px.y(), e.magnitude, static_cast<std::int32_t>(i));
   }
   const int added = b.tree.select(wanted - taken, b.ids);
@@ -235,13 +236,9 @@ int FeatureDetector::detect(const rt::PyramidView& pyramid, const rt::MaskPyrami
     const std::size_t id = b.ids[i];
     const Edgelet& e = b.edgelets[id];
     const std::int8_t level = b.edgelet_levels[id];
-    out[taken + i] = {to_level0(e.x, e.y, level), e.direction, e.magnitude, level, FeatureType::kEdgelet};
+    out[taken + i] = {from_level(e.x, e.y, level), e.direction, e.magnitude, level, FeatureType::kEdgelet};
   }
   return taken + added;
-}
-
-float FeatureDetector::shi_tomasi_score(const rt::ImageView& image, int x, int y) {
-  return shi_tomasi(image, x, y);
 }
 
 }  // namespace godwit::vo

@@ -54,9 +54,6 @@ class FeatureDetector {
   /// One sigma of the grey noise of the last picture, as detect() found it (grey_noise.h).
   float noise() const { return noise_; }
 
-  /// Shi-Tomasi score (smaller eigenvalue of the 8x8 structure tensor, per pixel) at a pixel of one level.
-  static float shi_tomasi_score(const rt::ImageView& image, int x, int y);
-
   ~FeatureDetector();
   FeatureDetector(const FeatureDetector&) = delete;
   FeatureDetector& operator=(const FeatureDetector&) = delete;

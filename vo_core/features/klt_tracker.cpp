@@ -6,6 +6,7 @@
 #include <hwy/highway.h>
 #include <vector>
 
+#include "hal/rt/count.h"
 #include "vo_core/image/grey_noise.h"
 #include "vo_core/image/patch.h"
 
@@ -246,7 +247,7 @@ KltTracker::~KltTracker() = default;
 
 int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px, float grey_noise) {
   Impl& m = *impl_;
-  m.count = static_cast<int>(std::min<std::size_t>(px.size(), kMaxTracks));
+  m.count = std::min(rt::count_of(px), kMaxTracks);
   int alive = 0;
   for (int i = 0; i < m.count; ++i) {
     const Vec2f& p = px[i];
@@ -258,7 +259,7 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
       track.alive = make_template(reference.level[level], to_level(p, level), grey_noise_at(grey_noise, level),
                                   m.options.min_eigenvalue, &patch.fine);
     }
-    if (track.alive) track.centre = patch.fine.centre * static_cast<float>(1 << track.level);
+    if (track.alive) track.centre = patch.fine.centre * level_scale(track.level);
     for (int level = 1; level < kLevels; ++level) {
       auto& t = patch.coarse[level - 1];
       t.valid = false;

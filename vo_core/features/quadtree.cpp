@@ -4,6 +4,8 @@
 #include <array>
 #include <cassert>
 
+#include "hal/rt/count.h"
+
 namespace godwit::vo {
 
 Quadtree::Quadtree(int width, int height, int capacity)
@@ -24,7 +26,7 @@ void Quadtree::clear() {
 
 bool Quadtree::add(const Entry& entry) {
   const bool inside = entry.x >= 0.0f && entry.y >= 0.0f && entry.x < width_ && entry.y < height_;
-  if (!inside || static_cast<std::int32_t>(entries_.size()) == capacity_) return false;
+  if (!inside || rt::count_of(entries_) == capacity_) return false;
   entries_.push_back(entry);
   return true;
 }
@@ -84,7 +86,7 @@ int Quadtree::select(int wanted, std::span<std::int32_t> ids) {
   current_.clear();
   leaves_.clear();
   best_.clear();
-  const auto total = static_cast<std::int32_t>(entries_.size());
+  const int total = rt::count_of(entries_);
   const auto candidates = static_cast<std::int32_t>(
       std::count_if(entries_.begin(), entries_.end(), [](const Entry& e) { return e.id >= 0; }));
   if (wanted == 0 || candidates == 0) return 0;
@@ -115,13 +117,13 @@ int Quadtree::select(int wanted, std::span<std::int32_t> ids) {
     });
     best_.push_back({leaf.x1 - leaf.x0, best.score, best.id});
   }
-  const std::size_t taken = std::min(best_.size(), static_cast<std::size_t>(wanted));
+  const int taken = std::min(rt::count_of(best_), wanted);
   std::sort(best_.begin(), best_.end(), [](const Choice& a, const Choice& b) {
     if (a.leaf_px != b.leaf_px) return a.leaf_px > b.leaf_px;
     return a.score != b.score ? a.score > b.score : a.id < b.id;
   });
-  for (std::size_t i = 0; i < taken; ++i) ids[i] = best_[i].id;
-  return static_cast<int>(taken);
+  for (int i = 0; i < taken; ++i) ids[i] = best_[i].id;
+  return taken;
 }
 
 }  // namespace godwit::vo

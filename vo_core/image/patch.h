@@ -9,6 +9,7 @@
 
 #include "hal/rt/image.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/image/levels.h"
 
 namespace godwit::vo {
 
@@ -35,18 +36,7 @@ inline hn::Vec<RowTag> load_row(const std::uint8_t* p) {
   return hn::ConvertTo(df, hn::PromoteTo(di32, hn::LoadU(du8, p)));
 }
 
-/// Bilinear value at (x, y). Precondition: 0 <= x < width - 1, 0 <= y < height - 1.
-inline float interpolate(const rt::ImageView& im, float x, float y) {
-  const int xi = static_cast<int>(x), yi = static_cast<int>(y);
-  const float fx = x - static_cast<float>(xi), fy = y - static_cast<float>(yi);
-  const std::uint8_t* p = im.row(yi) + xi;
-  const std::uint8_t* q = p + im.stride;
-  const float top = static_cast<float>(p[0]) + fx * static_cast<float>(p[1] - p[0]);
-  const float bottom = static_cast<float>(q[0]) + fx * static_cast<float>(q[1] - q[0]);
-  return top + fy * (bottom - top);
-}
-
-/// Bilinear values at one (x, y) a lane. Precondition of each as for interpolate().
+/// Bilinear values at one (x, y) a lane. Precondition of each: 0 <= x < width - 1, 0 <= y < height - 1.
 inline hn::Vec<RowTag> interpolate_lanes(const rt::ImageView& im, hn::Vec<RowTag> x, hn::Vec<RowTag> y) {
   const RowTag df;
   const hn::Rebind<std::int32_t, RowTag> di32;
@@ -91,16 +81,6 @@ inline void sample_grid(const rt::ImageView& im, float x, float y, int quads, in
       above = below;
     }
   }
-}
-
-/// Level-0 pixel -> pixel of pyramid level l, and back (centre convention of rt::PyramidView).
-inline Vec2f to_level(const Vec2f& px, int level) {
-  const float s = 1.0f / static_cast<float>(1 << level);
-  return (px.array() + 0.5f) * s - 0.5f;
-}
-inline Vec2f from_level(const Vec2f& px, int level) {
-  const float s = static_cast<float>(1 << level);
-  return (px.array() + 0.5f) * s - 0.5f;
 }
 
 }  // namespace godwit::vo

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "vo_core/image/levels.h"
 #include "vo_core/map/mapper.h"
 #include "vo_core/map/matcher.h"
 #include "vo_core/map/structure_optimizer.h"
@@ -240,7 +241,7 @@ void Mapper::find_observations(PointHandle h, int host) {
     const SE3 T_k_host = kf.T_kf_world * host_kf.T_kf_world.inverse();
     const PatchSource source{&host_kf.pyramid, &source_feature, d_host.norm()};
     const MatchResult m = match_direct(camera_, source, T_k_host, kf.pyramid, px.cast<float>(), kMaxLevel);
-    if (!m.found || (m.px - px.cast<float>()).norm() > 3.0f * static_cast<float>(1 << m.level)) continue;
+    if (!m.found || (m.px - px.cast<float>()).norm() > 3.0f * level_scale(m.level)) continue;
     KeyframeFeature f;
     f.px = m.px;
     f.px_global = to_global(kf, m.px, kf.T_kf_world * point.p_world);

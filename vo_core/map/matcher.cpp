@@ -157,7 +157,7 @@ bool warp_matrix(const CameraModel& camera, const PatchSource& source, const SE3
 
 int search_level(const Eigen::Matrix2f& A_cur_ref, int level_ref, int max_level) {
   // Area of one source-level pixel in the other view; each level up quarters it.
-  float area = std::abs(A_cur_ref.determinant()) * static_cast<float>(1 << (2 * level_ref));
+  float area = std::abs(A_cur_ref.determinant()) * level_scale(2 * level_ref);
   int level = 0;
   while (area > 3.0f && level < max_level) {
     ++level;
@@ -169,7 +169,7 @@ int search_level(const Eigen::Matrix2f& A_cur_ref, int level_ref, int max_level)
 bool warp_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int level_cur, ReferencePatch* patch) {
   const int level_ref = source.feature->level;
   const rt::ImageView& image = source.pyramid->level[level_ref];
-  const float scale = static_cast<float>(1 << level_cur) / static_cast<float>(1 << level_ref);
+  const float scale = level_scale(level_cur) / level_scale(level_ref);
   const Eigen::Matrix2f A = A_cur_ref.inverse() * scale;  // level_cur pixels -> level_ref pixels
   if (!A.allFinite()) return false;
   const Vec2f centre = to_level(source.feature->px, level_ref);
@@ -255,11 +255,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
   if (!warp_patch(source, A, level, &patch)) return result;
 
   const rt::ImageView& image = cur.level[level];
-  const auto inside = [&](const Vec2f& p) {
-    return p.x() >= kPatchHalf + 1 && p.y() >= kPatchHalf + 1 &&
-           p.x() < static_cast<float>(image.width - kPatchHalf - 2) &&
-           p.y() < static_cast<float>(image.height - kPatchHalf - 2);
-  };
+  const auto inside = [&](const Vec2f& p) { return window_inside(image, p, kPatchHalf + 1, kPatchHalf + 2); };
   Vec2f best_px = from_level(to_level(((a + b) * 0.5).cast<float>(), level), level);
   if (length < 2.0) {
     result.visible = inside(to_level(best_px, level));
@@ -286,7 +282,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
         if (s - best_step > 3) second = best;
         best = score;
         best_step = s;
-        best_px = from_level(Vec2f(static_cast<float>(x), static_cast<float>(y)), level);
+        best_px = from_level(x, y, level);
       } else if (score < second && s - best_step > 3) {
         second = score;
       }

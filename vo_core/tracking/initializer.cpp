@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <vector>
 
 #include "vo_core/features/initial_tracks.h"
@@ -304,7 +305,7 @@ struct Initializer::Impl {
       solve(candidate, views, &solutions[solution_count++]);
     }
     if (solution_count == 0) return;
-    for (int k = 0; k < static_cast<int>(solutions.size()); ++k) order[k] = k;
+    std::iota(order.begin(), order.end(), 0);
     rank(solution_count);
     // Candidates of both models often fall into the same minimum: each minimum is followed to its bottom once.
     const int last = views - 1;

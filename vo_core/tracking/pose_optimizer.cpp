@@ -6,6 +6,7 @@
 #include <cmath>
 #include <hwy/highway.h>
 
+#include "hal/rt/count.h"
 #include "vo_core/geometry/residual_spread.h"
 #include "vo_core/map/map_exchange.h"
 
@@ -20,7 +21,7 @@ constexpr int kRoughSteps = 3;       // with the spread that the first pose leav
 class Rows {
  public:
   Rows(const CameraModel& camera, std::span<const PoseMeasurement> measurements)
-      : camera_(camera), count_(static_cast<int>(measurements.size())) {
+      : camera_(camera), count_(rt::count_of(measurements)) {
     for (int i = 0; i < count_; ++i) {
       const PoseMeasurement& m = measurements[i];
       const bool edgelet = m.type == FeatureType::kEdgelet;
@@ -164,10 +165,10 @@ bool pose_residual(const CameraModel& camera, const SE3& T_cam_world, const Pose
 PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizerOptions& options,
                                   std::span<PoseMeasurement> measurements, SE3* T_cam_world) {
   PoseOptimizerResult result;
-  const int n = static_cast<int>(std::min<std::size_t>(measurements.size(), kMaxFrameFeatures));
+  const int n = std::min(rt::count_of(measurements), kMaxFrameFeatures);
   result.measurements = n;
   if (n < 10) return result;
-  Rows rows(camera, measurements.first(static_cast<std::size_t>(n)));
+  Rows rows(camera, measurements.first(n));
   std::array<float, kMaxFrameFeatures> errors;
   SE3 T = *T_cam_world;
   double scale = 1.0;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
+#include "hal/rt/count.h"
 #include "vo_core/features/align_warp.h"
 #include "vo_core/image/patch.h"
 
@@ -18,7 +19,7 @@ constexpr float kLeastShare = 0.01f, kNoiseVariance = 16.0f;
 }  // namespace
 
 void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
-  patch_count_ = static_cast<int>(std::min<std::size_t>(points.size(), patches_.size()));
+  patch_count_ = std::min(rt::count_of(points), rt::count_of(patches_));
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
     for (int axis = 0; axis < 3; ++axis) p_ref_[axis][i] = static_cast<float>(points[i].p_ref(axis));
@@ -34,13 +35,11 @@ void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
 void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
   const hn::FixedTag<float, 4> df;
   const auto sum = [&](auto v) { return hn::GetLane(hn::SumOfLanes(df, v)); };
-  const float scale = 1.0f / static_cast<float>(1 << level);
+  const float scale = 1.0f / level_scale(level);
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
     const Vec2f px = to_level(points[i].px, level);
-    patch.visible = patch.in_view && px.x() >= kHalf + 1 && px.y() >= kHalf + 1 &&
-                    px.x() < static_cast<float>(ref.width - kHalf - 3) &&
-                    px.y() < static_cast<float>(ref.height - kHalf - 3);
+    patch.visible = patch.in_view && window_inside(ref, px, kHalf + 1, kHalf + 3);
     if (!patch.visible) continue;
     row_[i] = points[i].px.y();
     patch.J = patch.J_level_0 * scale;
@@ -121,9 +120,7 @@ int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3&
     if (!patch.visible || !(seen_[i] > 0.0f)) continue;
     row_[i] = std::clamp(v_[i], 0.0f, static_cast<float>(camera_.height()));
     const Vec2f px = to_level(Vec2f(u_[i], v_[i]), level);
-    if (!(px.x() >= kHalf && px.y() >= kHalf && px.x() < static_cast<float>(cur.width - kHalf - 1) &&
-          px.y() < static_cast<float>(cur.height - kHalf - 1)))
-      continue;
+    if (!window_inside(cur, px, kHalf, kHalf + 1)) continue;
     alignas(16) float now[16];
     sample_grid(cur, px.x() - kHalf, px.y() - kHalf, 1, 4, now);
     const auto mean = hn::Set(df, patch.mean);
@@ -207,7 +204,7 @@ SparseAlignResult SparseImageAlign::run(const rt::PyramidView& ref, const rt::Py
       used_old = used;
       T = T * SE3::exp(-x.cast<double>());
       // Converged when the step moves no pixel of this level by a noticeable part.
-      const float step_px = x.cwiseAbs().maxCoeff() * static_cast<float>(camera_.fx()) / static_cast<float>(1 << level);
+      const float step_px = x.cwiseAbs().maxCoeff() * static_cast<float>(camera_.fx()) / level_scale(level);
       if (step_px < 0.03f) break;
     }
   }
