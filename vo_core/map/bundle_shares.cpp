@@ -116,7 +116,7 @@ bool look_around(BundleProblem* problem, double step) {
       H[k].noalias() += weight * Jx.transpose() * Jx;
       v.by_point[i].middleRows<6>(6 * k).noalias() = weight * Jx.transpose() * Jl;
     }
-    const Eigen::Matrix<double, 6 * BundleProblem::kViews, 3> moved = v.by_point[i] * q.H_inv;
+    const Eigen::Matrix<double, 6 * BundleProblem::kViews, 3> moved = v.by_point[i].lazyProduct(q.H_inv);
     for (int j = q.first; j < q.first + q.count; ++j) {
       const BundleProblem::Obs& o = s.obs[j];
       if (!o.used || o.pose >= s.free_count) continue;

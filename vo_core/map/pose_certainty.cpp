@@ -23,8 +23,10 @@ Mat6 PoseCertainty::carried(const MapShare& share, const SE3& T_cam_centre) cons
   way *= std::min(1.0, kFarthest * shares_.median_depth / std::max(way.norm(), 1e-12));
   Mat6_18 along;
   along << way.x() * Mat6::Identity(), way.y() * Mat6::Identity(), way.z() * Mat6::Identity();
-  const Mat6 mixed = share.with_change * along.transpose();
-  const Mat6 there = share.covariance + mixed + mixed.transpose() + along * shares_.change * along.transpose();
+  // Products of this size would be cut into blocks, for which Eigen may ask the heap.
+  const Mat6 mixed = share.with_change.lazyProduct(along.transpose());
+  const Mat6_18 changed = along.lazyProduct(shares_.change);
+  const Mat6 there = share.covariance + mixed + mixed.transpose() + Mat6(changed.lazyProduct(along.transpose()));
   const Mat6 ad = adjoint(T_cam_centre);
   return ad * there * ad.transpose();
 }
