@@ -40,7 +40,8 @@ std::string quoted(std::string_view text) {
 
 std::string decimal(double value) {
   char digits[32];
-  const auto end = std::to_chars(digits, digits + sizeof(digits), value);
+  // Minus nothing would be "-0", which is read as a whole number and comes back as 0.
+  const auto end = std::to_chars(digits, digits + sizeof(digits), value == 0.0 ? 0.0 : value);
   return {digits, end.ptr};
 }
 

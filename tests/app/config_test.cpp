@@ -168,5 +168,15 @@ TEST(Config, WhatIsShownReadsBackToTheSame) {
   EXPECT_EQ(show_config(report.config), show_config(Config{}));
 }
 
+TEST(Config, MinusNothingIsShownAsWhatItIsReadAs) {
+  const ConfigReport report =
+      parse_config("[link]\nmavlink = \"udp:127.0.0.1:14540\"\norigin = [47.4, -0.0, 488]\n", "godwit.toml");
+  ASSERT_TRUE(report.ok());
+  const std::vector<std::string> shown = show_config(report.config);
+  std::string text;
+  for (const std::string& line : shown) text += line + "\n";
+  EXPECT_EQ(show_config(parse_config(text, "shown.toml").config), shown);
+}
+
 }  // namespace
 }  // namespace godwit::app::config_test
