@@ -108,7 +108,7 @@ TEST(Matcher, SearchLevelFollowsTheScale) {
 
 TEST(Matcher, DirectMatchFindsThePointAndEpipolarSearchItsDepth) {
   const Views v;
-  int direct = 0, epipolar = 0;
+  int direct = 0, epipolar = 0, displaced = 0, not_displaced = 0;
   const auto visible = v.visible(25, 15);
   const int tried = static_cast<int>(visible.size());
   for (const auto& [f, d, truth] : visible) {
@@ -118,7 +118,17 @@ TEST(Matcher, DirectMatchFindsThePointAndEpipolarSearchItsDepth) {
     const EpipolarResult e = match_epipolar(v.camera, {&v.ref, &f, 2.0}, v.T_cur, v.cur, 1.2, 8.0, 3);
     EXPECT_TRUE(e.visible);
     if (e.match.found) epipolar += std::abs(e.depth - d) < 0.03 * d;
+    // What a rolling shutter has moved is searched for where it lies, and tells the depth of where it would be.
+    const SE3 turned = SE3{so3_exp(Vec3(0.02, 0.015, 0.0)), Vec3::Zero()} * v.T_cur;
+    Vec2 there;
+    if (!e.match.found || !v.camera.project(turned * (f.bearing * d), &there)) continue;
+    const EpipolarResult moved = match_epipolar(v.camera, {&v.ref, &f, 2.0}, turned, v.cur, 1.2, 8.0, 3, truth - there);
+    const EpipolarResult as_it_lies = match_epipolar(v.camera, {&v.ref, &f, 2.0}, turned, v.cur, 1.2, 8.0, 3);
+    displaced += moved.match.found && std::abs(moved.depth - d) < 0.06 * d;
+    not_displaced += as_it_lies.match.found && std::abs(as_it_lies.depth - d) < 0.06 * d;
   }
+  EXPECT_GE(displaced, epipolar * 8 / 10);
+  EXPECT_LE(not_displaced, displaced / 2);
   ASSERT_GT(tried, 20);
   EXPECT_GE(direct, tried * 8 / 10);
   EXPECT_GE(epipolar, tried * 6 / 10);

@@ -139,6 +139,13 @@ void Mapper::handle_late_mask(const MapperMessage& m) {
   }
 }
 
+Vec2 Mapper::displacement(const Vec3& p_cam, const Vec6& velocity) const {
+  Vec2 px;
+  Mat23 J;
+  if (options_.shutter.readout_s <= 0.0 || !camera_.project(p_cam, &px, &J)) return Vec2::Zero();
+  return rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
+}
+
 Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const {
   if (options_.shutter.readout_s <= 0.0) return px;
   Vec2 unused;

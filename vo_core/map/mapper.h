@@ -89,7 +89,8 @@ class Mapper {
   /// The seed's point, at its mean depth, lies in the picture and beside the mask.
   bool in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_host) const;
   /// Searches a seed that is in view.
-  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host);
+  void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host,
+                   const Vec6& velocity);
   rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);
   void create_seeds(int place, const MapperMessage& m);
   bool seed_to_point(Seed* seed);
@@ -97,6 +98,8 @@ class Mapper {
   void adjust(int place);
   void forget_keyframes(int newest);
   int least_useful_keyframe(int newest, bool points) const;
+  /// By what the rolling shutter of a picture taken at this velocity moves a point that lies here in its camera's frame.
+  Vec2 displacement(const Vec3& p_cam, const Vec6& velocity) const;
   Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
   void remove_point(PointHandle h);
   void remove_observation(int place, int feature);

@@ -81,18 +81,21 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->place = place;
     seed->keyframe_id = kf.id;
     seed->feature = {};
-    seed->feature.px = seed->feature.px_global = found[i].px;
+    seed->feature.px = found[i].px;
     seed->feature.gradient = found[i].gradient;
     seed->feature.level = found[i].level;
     seed->feature.type = found[i].type;
-    seed->feature.bearing = camera_.unproject(found[i].px.cast<double>());
+    // What the rolling shutter did to it is mostly a turn's doing, and that is the same at any depth.
+    seed->feature.px_global =
+        to_global(kf, found[i].px, m.median_depth * camera_.unproject(found[i].px.cast<double>()));
+    seed->feature.bearing = camera_.unproject(seed->feature.px_global.cast<double>());
     seed->misses = seed->matches = 0;
     seed->agreed = {};
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
       const CoarseMask& mask = masks_[near[k].second];
-      if (in_view(*seed, mask, T_near_kf[k])) update_seed(seed, other.pyramid, mask, T_near_kf[k]);
+      if (in_view(*seed, mask, T_near_kf[k])) update_seed(seed, other.pyramid, mask, T_near_kf[k], other.velocity);
     }
   }
 }
@@ -104,7 +107,8 @@ bool Mapper::in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_
   return camera_.in_image(px, 8.0) && !mask.masked(px.cast<float>());
 }
 
-void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host) {
+void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host,
+                         const Vec6& velocity) {
   const Keyframe& host = map_.keyframe(seed->place);
   DepthEstimate& e = seed->estimate;
   const double sigma = std::sqrt(e.variance);
@@ -112,8 +116,9 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   const double inv_min = std::max(e.inv_depth - 2.0 * sigma, 1e-4);
   const PatchSource source{&host.pyramid, &seed->feature, 1.0 / e.inv_depth};
   ++report_.seeds_updated;
+  const Vec2 displaced = displacement(T_cur_host * (seed->feature.bearing / e.inv_depth), velocity);
   const EpipolarResult r =
-      match_epipolar(camera_, source, T_cur_host, pyramid, 1.0 / inv_max, 1.0 / inv_min, kMaxLevel);
+      match_epipolar(camera_, source, T_cur_host, pyramid, 1.0 / inv_max, 1.0 / inv_min, kMaxLevel, displaced);
   if (!r.match.found) {
     if (r.visible) {
       e.miss();
@@ -178,7 +183,7 @@ void Mapper::update_seeds(const MapperMessage& m, const SE3& T_cam_world) {
       prefetch_patch(map_.keyframe(next.place).pyramid, next.feature);
     }
     Seed& s = (*seeds_)[chosen[i]];
-    update_seed(&s, m.pyramid, m.mask, T_cur_kf[s.place]);
+    update_seed(&s, m.pyramid, m.mask, T_cur_kf[s.place], m.velocity);
   }
 }
 
@@ -187,7 +192,7 @@ bool Mapper::seed_to_point(Seed* seed) {
   if (host.feature_count >= kMaxKeyframeFeatures) return false;
   const PointHandle h = map_.free_point();
   if (!h.valid()) return false;
-  // Only now is its depth known, and with it what the rolling shutter did to it.
+  // Only now is its depth known, and with it all that the rolling shutter did to it.
   KeyframeFeature& f = seed->feature;
   f.px_global = to_global(host, f.px, f.bearing / seed->estimate.inv_depth);
   f.bearing = camera_.unproject(f.px_global.cast<double>());

@@ -234,7 +234,8 @@ bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec
 }
 
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
-                              const rt::PyramidView& cur, double depth_min, double depth_max, int max_level) {
+                              const rt::PyramidView& cur, double depth_min, double depth_max, int max_level,
+                              const Vec2& displaced) {
   EpipolarResult result;
   Eigen::Matrix2f A;
   if (!warp_matrix(camera, source, T_cur_ref, &A)) return result;
@@ -256,7 +257,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
 
   const rt::ImageView& image = cur.level[level];
   const auto inside = [&](const Vec2f& p) { return window_inside(image, p, kPatchHalf + 1, kPatchHalf + 2); };
-  Vec2f best_px = from_level(to_level(((a + b) * 0.5).cast<float>(), level), level);
+  Vec2f best_px = from_level(to_level(((a + b) * 0.5 + displaced).cast<float>(), level), level);
   if (length < 2.0) {
     result.visible = inside(to_level(best_px, level));
     if (!result.visible) return result;
@@ -269,7 +270,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
     int last_x = -1, last_y = -1;
     for (int s = 0; s <= steps; ++s) {
       if (!(places.seen[s] > 0.0)) continue;
-      const Vec2 px(places.u[s], places.v[s]);
+      const Vec2 px = Vec2(places.u[s], places.v[s]) + displaced;
       const Vec2f pl = to_level(px.cast<float>(), level);
       if (!inside(pl)) continue;
       result.visible = true;
@@ -293,7 +294,7 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
   }
   result.match = align_match(cur, patch, source, A, level, best_px, true);
   if (!result.match.found) return result;
-  const Vec3 f_cur = camera.unproject(result.match.px.cast<double>());
+  const Vec3 f_cur = camera.unproject(result.match.px.cast<double>() - displaced);
   result.depth_known = depth_from_triangulation(T_cur_ref, f, f_cur, &result.depth);
   return result;
 }

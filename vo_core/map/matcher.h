@@ -49,6 +49,7 @@ MatchResult match_direct(const CameraModel& camera, const PatchSource& source, c
 
 /// Searches `cur` along the epipolar curve of the source between depths depth_min and depth_max (max may be infinite
 /// in practice: pass a large value), then aligns. Gives the depth along the source's bearing by triangulation.
+/// `displaced`: by what the picture's rolling shutter has moved the point [px]; the match's place has it, the depth not.
 /// Bounded: at most kMaxEpipolarSteps patch comparisons.
 constexpr int kMaxEpipolarSteps = 120;
 struct EpipolarResult {
@@ -58,7 +59,8 @@ struct EpipolarResult {
   bool visible = false;      ///< the search line crosses the picture (a failure then counts against the seed)
 };
 EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
-                              const rt::PyramidView& cur, double depth_min, double depth_max, int max_level);
+                              const rt::PyramidView& cur, double depth_min, double depth_max, int max_level,
+                              const Vec2& displaced = Vec2::Zero());
 
 /// Depth along f_ref (unit) of the point seen under f_ref and f_cur. False when the rays are parallel.
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth);
