@@ -81,6 +81,21 @@ class LandmarkFinderTest : public testing::Test {
   LandmarkFinder finder_{camera_, LandmarkFinderOptions{}};
 };
 
+TEST_F(LandmarkFinderTest, WhereTheCameraWasNotLongAgoBoundsWhatIsCompared) {
+  const SE3 truth = pose(Vec3(0.1, -0.05, 0.05), Vec3(0.03, -0.04, 0.02));
+  const View now{truth};
+  const LandmarkReport everywhere = finder_.find(map_, now.pyramid.view(), {}, 0);
+  const LastSeen there{SE3(), 0.1}, elsewhere{pose(Vec3::Zero(), Vec3(0.0, 0.4, 0.0)), 0.1};
+  const LandmarkReport near = finder_.find(map_, now.pyramid.view(), {}, 0, &there);
+  ASSERT_TRUE(near.found);
+  EXPECT_LT((near.T_cam_world.inverse().t - truth.centre()).norm(), 0.03);
+  EXPECT_GE(near.agreeing, everywhere.agreeing) << "fewer points that could be taken for the right one";
+  EXPECT_FALSE(finder_.find(map_, now.pyramid.view(), {}, 0, &elsewhere).found);
+  // After a while it may have turned that far.
+  const LastSeen long_ago{elsewhere.T_cam_world, 3.0};
+  EXPECT_TRUE(finder_.find(map_, now.pyramid.view(), {}, 0, &long_ago).found);
+}
+
 TEST_F(LandmarkFinderTest, ACameraFarFromTheKeyframeIsFound) {
   const SE3 truth = pose(Vec3(0.25, -0.1, 0.15), Vec3(0.1, -0.12, 0.1));
   const View now{truth};

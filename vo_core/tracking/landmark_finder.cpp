@@ -53,7 +53,8 @@ void LandmarkFinder::learn(const Map& map, int points) {
   }
 }
 
-int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt) {
+int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt,
+                          const LastSeen* last) {
   const BriefPattern pattern = roll == 0.0 ? upright_ : BriefPattern(roll);
   constexpr std::uint16_t kFree = 0xffff;
   std::array<std::uint16_t, kMaxPoints> match_of_point;
@@ -63,12 +64,20 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
   // Neighbours in the array are mostly neighbours in time and place.
   int known = 0;
   std::array<std::uint16_t, kMaxPoints> compared;
-  const int first = attempt * options_.max_points / 2;
+  const int first = last != nullptr ? 0 : attempt * options_.max_points / 2;
+  std::array<Vec2f, kMaxPoints> expected;
+  const double reach = last != nullptr ? reach_px(*last) : 0.0;
   for (int k = 0; k < end && known < options_.max_points; ++k) {
     const int i = (first + k) % end;
     const Look& look = (*looks_)[i];
     const MapPoint& p = map.point(i);
-    if (look.known && p.active && p.generation == look.generation) compared[known++] = static_cast<std::uint16_t>(i);
+    if (!look.known || !p.active || p.generation != look.generation) continue;
+    if (last != nullptr) {
+      Vec2 px;
+      if (!camera_.project(last->T_cam_world * p.p_world, &px) || !camera_.in_image(px, -reach)) continue;
+      expected[known] = px.cast<float>();
+    }
+    compared[known++] = static_cast<std::uint16_t>(i);
   }
   int n = 0;
   for (int c = 0; c < corner_count_; ++c) {
@@ -76,6 +85,7 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
     if (!pattern.describe(pyramid, corners_[c].px, &d)) continue;
     int best = 257, second = 257, best_point = -1;
     for (int k = 0; k < known; ++k) {
+      if (last != nullptr && (expected[k] - corners_[c].px).squaredNorm() > reach * reach) continue;
       const int i = compared[k];
       const int distance = d.distance((*looks_)[i].descriptor);
       if (distance >= second) continue;
@@ -102,6 +112,10 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
     }
   }
   return n;
+}
+
+double LandmarkFinder::reach_px(const LastSeen& last) const {
+  return options_.near_px + options_.turn_rad_s * last.ago_s / camera_.rad_per_px();
 }
 
 int LandmarkFinder::start_keyframe(const Map& map, int matches) const {
@@ -150,19 +164,23 @@ int LandmarkFinder::agreeing(int matches, const SE3& T_cam_world) const {
 }
 
 LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    int attempt) {
+                                    int attempt, const LastSeen* last) {
   LandmarkReport report;
+  // By turns near where points should lie and anywhere, since a camera may have done what nobody thought of.
+  if (last != nullptr && reach_px(*last) > camera_.width()) last = nullptr;
+  if (last != nullptr && attempt % 2 != 0) last = nullptr, attempt /= 2;
+  const int least = last != nullptr ? options_.min_agreeing_near : options_.min_agreeing;
   learn(map, options_.described_a_frame);
   // Of three attempts two are upright, the third is turned by +1, -1, +2, -2, .. steps, until the circle is full.
   double roll = 0.0;
-  if (attempt % 3 == 2) {
+  if (last == nullptr && attempt % 3 == 2) {
     const int k = attempt / 3 % std::max(1, static_cast<int>(2.0 * std::numbers::pi / options_.roll_step_rad));
     roll = (k % 2 == 0 ? 1.0 : -1.0) * (k / 2 + 1) * options_.roll_step_rad;
   }
   corner_count_ = report.corners =
       detector_.detect(pyramid, mask, {}, options_.corners, std::span(corners_.data(), options_.corners));
-  report.matches = match(map, pyramid, roll, attempt);
-  if (report.matches < options_.min_agreeing) return report;
+  report.matches = match(map, pyramid, roll, attempt, last);
+  if (report.matches < least) return report;
   for (int i = 0; i < report.matches; ++i) {
     const Match& m = matches_[i];
     PoseMeasurement& out = measurements_[i];
@@ -171,7 +189,7 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
     out.p_world = map.point(m.point).p_world;
     out.sigma_px = 2.0;
   }
-  SE3 start = map.keyframe(start_keyframe(map, report.matches)).T_kf_world;
+  SE3 start = last != nullptr ? last->T_cam_world : map.keyframe(start_keyframe(map, report.matches)).T_kf_world;
   start.R = Eigen::AngleAxisd(roll, Vec3::UnitZ()).toRotationMatrix() * start.R;
   start.t = Eigen::AngleAxisd(roll, Vec3::UnitZ()).toRotationMatrix() * start.t;
   std::uint32_t state = 4797;
@@ -190,7 +208,7 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
     report.agreeing = n;
     best = T;
   }
-  if (report.agreeing < options_.min_agreeing) return report;
+  if (report.agreeing < least) return report;
   // Of those that agree, the best pose of all.
   int kept = 0;
   for (int i = 0; i < report.matches; ++i) {
@@ -199,7 +217,7 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
       std::swap(measurements_[kept++], measurements_[i]);
   }
   const PoseOptimizerResult p = optimize_pose(camera_, {}, std::span(measurements_.data(), kept), &best);
-  report.found = p.ok && p.inliers >= options_.min_agreeing;
+  report.found = p.ok && p.inliers >= least;
   report.T_cam_world = best;
   return report;
 }

@@ -28,7 +28,16 @@ struct LandmarkFinderOptions {
   int rounds = 200;                    ///< hypotheses of three matches each (Fischler and Bolles 1981)
   double agreement_px = 8.0;  ///< a match agrees with a pose to so much; the shutter's part in it is not known yet
   int min_agreeing = 12;
+  int min_agreeing_near = 8;   ///< where only points near their expected places were compared
+  double near_px = 40.0;       ///< so near, when no time has passed,
+  double turn_rad_s = 0.6;     ///< and further by what so fast a turn moves the picture
   double roll_step_rad = 0.5;  ///< every third attempt is turned about the optical axis by so much more
+};
+
+/// Where the camera was not long ago.
+struct LastSeen {
+  SE3 T_cam_world;
+  double ago_s = 0.0;
 };
 
 struct LandmarkReport {
@@ -45,8 +54,11 @@ class LandmarkFinder {
   LandmarkFinder(const CameraModel& camera, const LandmarkFinderOptions& options);
   ~LandmarkFinder();
 
-  /// Attempt number `attempt` of one search, counted over its frames.
-  LandmarkReport find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, int attempt);
+  /// Attempt number `attempt` of one search, counted over its frames. `last`: may be null; while the camera can hardly
+  /// have turned by the picture's width since then, a corner is compared, every other time, only with points that may be
+  /// there: fewer that resemble it by chance, so fewer that must agree.
+  LandmarkReport find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, int attempt,
+                      const LastSeen* last = nullptr);
 
   /// Takes up what at most `points` of the map look like that are not known yet; find() does it too, for more of them.
   void learn(const Map& map, int points);
@@ -69,7 +81,8 @@ class LandmarkFinder {
   static constexpr int kMaxCorners = 240;
 
   static double median_depth(const Map& map);
-  int match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt);
+  int match(const Map& map, const rt::PyramidView& pyramid, double roll, int attempt, const LastSeen* last);
+  double reach_px(const LastSeen& last) const;
   int start_keyframe(const Map& map, int matches) const;
   bool pose_of_three(int a, int b, int c, SE3* T_cam_world) const;
   int agreeing(int matches, const SE3& T_cam_world) const;

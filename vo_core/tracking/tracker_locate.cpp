@@ -67,7 +67,9 @@ bool Tracker::look_for_likeness(int attempt, Frame* frame, FrameResult* result) 
 
 bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
-  const LandmarkReport found = landmarks_->find(*map_, frame->pyramid, frame->mask, attempt);
+  const LastSeen last{last_.T_cam_world, rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns)};
+  const LandmarkReport found =
+      landmarks_->find(*map_, frame->pyramid, frame->mask, attempt, last_.slot >= 0 ? &last : nullptr);
   if (found.found) frame->T_cam_world = found.T_cam_world;
   if (!found.found) refusal_ = {"too few landmarks recognised", found.agreeing, options_.landmarks.min_agreeing};
   frame->velocity.setZero();
