@@ -65,7 +65,7 @@ int LandmarkFinder::match(const Map& map, const rt::PyramidView& pyramid, double
   int known = 0;
   std::array<std::uint16_t, kMaxPoints> compared;
   const int first = last != nullptr ? 0 : attempt * options_.max_points / 2;
-  std::array<Vec2f, kMaxPoints> expected;
+  std::array<Vec2f, kMaxPoints> expected;  // where they lie in the picture, when last is known
   const double reach = last != nullptr ? reach_px(*last) : 0.0;
   for (int k = 0; k < end && known < options_.max_points; ++k) {
     const int i = (first + k) % end;
@@ -166,9 +166,7 @@ int LandmarkFinder::agreeing(int matches, const SE3& T_cam_world) const {
 LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
                                     int attempt, const LastSeen* last) {
   LandmarkReport report;
-  // By turns near where points should lie and anywhere, since a camera may have done what nobody thought of.
   if (last != nullptr && reach_px(*last) > camera_.width()) last = nullptr;
-  if (last != nullptr && attempt % 2 != 0) last = nullptr, attempt /= 2;
   const int least = last != nullptr ? options_.min_agreeing_near : options_.min_agreeing;
   learn(map, options_.described_a_frame);
   // Of three attempts two are upright, the third is turned by +1, -1, +2, -2, .. steps, until the circle is full.
@@ -179,6 +177,15 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
   }
   corner_count_ = report.corners =
       detector_.detect(pyramid, mask, {}, options_.corners, std::span(corners_.data(), options_.corners));
+  // Where the mask leaves few, inside it, too: what moves resembles no point of the map.
+  if (mask.levels > 0 && corner_count_ < options_.corners) {
+    std::array<Vec2f, kMaxCorners> taken;
+    for (int i = 0; i < corner_count_; ++i) taken[i] = corners_[i].px;
+    corner_count_ += detector_.detect(pyramid, {}, std::span(taken.data(), corner_count_),
+                                      options_.corners - corner_count_,
+                                      std::span(corners_.data() + corner_count_, options_.corners - corner_count_));
+    report.corners = corner_count_;
+  }
   report.matches = match(map, pyramid, roll, attempt, last);
   if (report.matches < least) return report;
   for (int i = 0; i < report.matches; ++i) {

@@ -55,8 +55,8 @@ class LandmarkFinder {
   ~LandmarkFinder();
 
   /// Attempt number `attempt` of one search, counted over its frames. `last`: may be null; while the camera can hardly
-  /// have turned by the picture's width since then, a corner is compared, every other time, only with points that may be
-  /// there: fewer that resemble it by chance, so fewer that must agree.
+  /// have turned by the picture's width since then, a corner is compared only with points that may be there: fewer that
+  /// resemble it by chance, so fewer that must agree.
   LandmarkReport find(const Map& map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask, int attempt,
                       const LastSeen* last = nullptr);
 

@@ -227,6 +227,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     have_velocity_ = dt > 0.0;
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;
+    seen_ = {frame->T_cam_world, frame->t_capture_ns, true};
   } else {
     ++unproved_;
     have_velocity_ = false;

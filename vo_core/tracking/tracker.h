@@ -206,7 +206,7 @@ class Tracker {
   bool align_with_keyframe(const RelocalisationGuess& guess, Frame* frame);
   bool look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result);
   bool look_for_likeness(int attempt, Frame* frame, FrameResult* result);
-  bool recognise_landmarks(int attempt, Frame* frame, FrameResult* result);
+  bool recognise_landmarks(int attempt, bool near, Frame* frame, FrameResult* result);
   // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
   bool measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result);
   // These say in refusal_ what they refuse for.
@@ -272,6 +272,12 @@ class Tracker {
   Frame first_;                 ///< first view of the initialisation
   CoarseMask first_mask_;       ///< its dynamic pixels, kept until it is sent
   Frame last_;                  ///< last frame with a pose
+  /// Where the camera was when a pose last held, whatever became of guesses since then.
+  struct {
+    SE3 T_cam_world;
+    rt::TimeNs t_capture_ns = 0;
+    bool known = false;
+  } seen_;
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few

@@ -65,11 +65,11 @@ bool Tracker::look_for_likeness(int attempt, Frame* frame, FrameResult* result) 
   return found;
 }
 
-bool Tracker::recognise_landmarks(int attempt, Frame* frame, FrameResult* result) {
+bool Tracker::recognise_landmarks(int attempt, bool near, Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
-  const LastSeen last{last_.T_cam_world, rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns)};
+  const LastSeen last{seen_.T_cam_world, rt::to_seconds(frame->t_capture_ns - seen_.t_capture_ns)};
   const LandmarkReport found =
-      landmarks_->find(*map_, frame->pyramid, frame->mask, attempt, last_.slot >= 0 ? &last : nullptr);
+      landmarks_->find(*map_, frame->pyramid, frame->mask, attempt, near && seen_.known ? &last : nullptr);
   if (found.found) frame->T_cam_world = found.T_cam_world;
   if (!found.found) refusal_ = {"too few landmarks recognised", found.agreeing, options_.landmarks.min_agreeing};
   frame->velocity.setZero();
@@ -178,18 +178,21 @@ bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
 }
 
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
-  // Where the camera should be, if anyone knows, in turns with what looks like a keyframe; between movers, who spoil
-  // that, in turns with what looks like points of the map. First a rough pose, then all of the map around it.
+  // Where the camera should be, if anyone knows, in turns with what looks like a keyframe. Between movers, who spoil
+  // that, points of the map near their places, in turns with keyframes and, where none resembles the picture, points
+  // anywhere. First a rough pose, then all of the map around it.
   const bool expected = frame->expected.known;
   const bool there = expected && relocalise_attempt_ % 2 == 0;
   const int attempt = expected ? relocalise_attempt_++ / 2 : relocalise_attempt_++;
   // What an attempt before this one has seen is not told as this one's.
   refusal_ = {};
   result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
-  const bool guessed = there              ? look_where_expected(frame->expected, frame, result)
-                       : !frame->crowded  ? look_for_likeness(attempt, frame, result)
-                       : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, frame, result)
-                                          : look_for_likeness(attempt / 2, frame, result);
+  const bool guessed =
+      there              ? look_where_expected(frame->expected, frame, result)
+      : !frame->crowded  ? look_for_likeness(attempt, frame, result)
+      : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, true, frame, result)
+                         : look_for_likeness(attempt / 2, frame, result) ||
+                               recognise_landmarks(attempt / 2, false, frame, result);
   if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
       measure(in, false, frame, least_measurements(*frame), result) &&
       (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
