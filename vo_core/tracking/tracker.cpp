@@ -104,7 +104,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   compare_with_keyframes(options_.keyframe, *map_, frame->T_cam_world, median_depth_, last_keyframe_id_, &f);
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
-  if (!result->tracked && map_feature_count_ < options_.weak_beside) why = KeyframeReason::kNone;
+  if (!result->tracked && map_feature_count_ < options_.mapped_beside) why = KeyframeReason::kNone;
   result->keyframe_reason = why;
   bool sent = false;
   if (why != KeyframeReason::kNone && room() >= 1) {
@@ -210,8 +210,6 @@ FrameResult Tracker::track(const FrameInput& in) {
 
 void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
   adopt_features();
-  if (kind == FrameEvidence::Kind::kWeak) ++weak_;
-  if (kind == FrameEvidence::Kind::kPose) weak_ = 0;
   if (frame->crowded) landmarks_->learn(*map_, options_.landmarks.described_a_tracked_frame);
   if (kind != FrameEvidence::Kind::kUnproved) {
     const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);

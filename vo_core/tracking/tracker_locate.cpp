@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "vo_core/features/match_noise.h"
+#include "vo_core/tracking/pose_evidence.h"
 #include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo {
@@ -77,7 +78,7 @@ bool Tracker::recognise_landmarks(int attempt, bool near, Frame* frame, FrameRes
   return found.found;
 }
 
-bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_measurements, FrameResult* result) {
+bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameResult* result) {
   rt::TimeNs t0 = now();
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
   const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
@@ -121,7 +122,8 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, int min_
   weight_scale_ = p.weight_scale;
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
-  if (result->measurements < min_measurements) return false;
+  evidence_ = pose_evidence(p, r.trials - (r.matches - r.shaded));
+  if (result->measurements < options_.least_measurements) return false;
   return enough_found(options_.min_found_share, *result) && enough_agree(options_.min_inlier_share, *result) &&
          as_noisy_as_stated(*result);
 }
@@ -145,12 +147,10 @@ bool Tracker::as_noisy_as_stated(const FrameResult& r) {
   return false;
 }
 
-bool Tracker::passes(const TrackerOptions::Proof& wanted, const FrameResult& r) {
-  if (r.measurements < wanted.measurements) {
-    refusal_ = {"too few features to be sure", r.measurements, wanted.measurements};
-    return false;
-  }
-  return enough_agree(wanted.inlier_share, r) && enough_found(wanted.found_share, r);
+bool Tracker::proves(double wanted, double evidence) {
+  if (evidence >= wanted) return true;
+  refusal_ = {"too little speaks for the pose [nats]", static_cast<int>(evidence), static_cast<int>(wanted)};
+  return false;
 }
 
 bool Tracker::as_expected(const Frame& frame) {
@@ -166,15 +166,6 @@ bool Tracker::as_expected(const Frame& frame) {
   refusal_ = {"looks alike, but the camera cannot be there: of what is possible [%]",
               static_cast<int>(std::min(1e6, 100.0 * off)), 100};
   return false;
-}
-
-bool Tracker::few_but_sure(const Frame& frame, const FrameResult& r) {
-  if (!frame.crowded || weak_ >= options_.weak_frames) return false;
-  // What lies inside the mask is looked for without being counted as tried: it must not stand in for what lies beside.
-  int beside = 0;
-  for (int i = 0; i < match_count_; ++i) beside += measurements_[i].inlier && !features_scratch_[i].shaded;
-  return beside >= options_.weak_beside && beside >= options_.few_but_sure.found_share * r.trials &&
-         passes(options_.few_but_sure, r);
 }
 
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
@@ -193,11 +184,9 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
       : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, true, frame, result)
                          : look_for_likeness(attempt / 2, frame, result) ||
                                recognise_landmarks(attempt / 2, false, frame, result);
-  if (guessed && measure(in, false, frame, options_.rough_measurements, result) &&
-      measure(in, false, frame, least_measurements(*frame), result) &&
-      (few_but_sure(*frame, *result) || passes(options_.promising, *result)))
-    return as_expected(*frame);
-  return false;
+  if (!guessed || !measure(in, false, frame, result) || !measure(in, false, frame, result)) return false;
+  gathered_ = evidence_;
+  return proves(options_.promising, evidence_) && as_expected(*frame);
 }
 
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
@@ -216,35 +205,30 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     }
     align_with_last(in, frame, guess, result);
     const bool coarser = near && feature_count_ < options_.plenty;
-    bool held = measure(in, coarser, frame, least_measurements(*frame), result) && as_expected(*frame);
+    bool held = measure(in, coarser, frame, result) && as_expected(*frame);
     if (!held && near && have_velocity_) {
       // Where light changes from row to row the pictures may not be laid on each other at all. Points are found all the
       // same, each with a gain of its own, from where the motion goes on as it was; that is a guess, and must convince.
       frame->T_cam_world = guess * last_.T_cam_world;
       frame->velocity = last_.velocity;
-      held = measure(in, coarser, frame, least_measurements(*frame), result) && passes(options_.convincing, *result) &&
-             as_expected(*frame);
+      held = measure(in, coarser, frame, result) && proves(options_.sure, evidence_) && as_expected(*frame);
     }
     if (held) {
       const bool counts = result->measurements >= options_.health.min_measurements;
-      const bool sure = few_but_sure(*frame, *result);
-      const bool followed = near && unproved_ == 0;
-      if (followed && weak_ == 0 && counts) return Kind::kPose;
-      // After a guess, or after poses that did not count, one must convince before it does.
-      if (followed || unproved_ > 0) {
+      const Kind believed = counts ? Kind::kPose : Kind::kWeak;
+      if (near && unproved_ == 0) {
+        // That it follows a right pose speaks for it, as long as much is measured.
+        if (counts || proves(options_.held, evidence_)) return believed;
+      } else {
+        if (unproved_ == 0) gathered_ = 0.0;
+        gathered_ += evidence_;
         // Found where the camera should be, there are two witnesses.
-        const TrackerOptions::Proof& enough = frame->expected.known ? options_.promising : options_.convincing;
-        if (counts && (sure || passes(enough, *result))) {
+        if (proves(frame->expected.known ? options_.held : options_.sure, gathered_)) {
           unproved_ = 0;
-          return Kind::kPose;
+          return believed;
         }
-        if (sure) {
-          unproved_ = 0;
-          return Kind::kWeak;
-        }
+        if (unproved_ < options_.unproved_frames && proves(options_.promising, evidence_)) return Kind::kUnproved;
       }
-      if (unproved_ < options_.unproved_frames && (sure || (counts && passes(options_.promising, *result))))
-        return Kind::kUnproved;
     }
     if (unproved_ > 0) {
       unproved_ = 0;
