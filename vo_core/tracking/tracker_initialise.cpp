@@ -138,6 +138,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   keyframe_mask_.assign(current.mask);
   retire(&first_);
   last_ = current;
+  gathered_ = options_.most_evidence;
   last_.mask = {};
   have_velocity_ = interval_s > 0.0;
   ++map_id_;

@@ -214,20 +214,17 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       held = measure(in, coarser, frame, result) && proves(options_.sure, evidence_) && as_expected(*frame);
     }
     if (held) {
-      const bool counts = result->measurements >= options_.health.min_measurements;
-      const Kind believed = counts ? Kind::kPose : Kind::kWeak;
-      if (near && unproved_ == 0) {
-        // That it follows a right pose speaks for it, as long as much is measured.
-        if (counts || proves(options_.held, evidence_)) return believed;
-      } else {
-        if (unproved_ == 0) gathered_ = 0.0;
-        gathered_ += evidence_;
-        // Found where the camera should be, there are two witnesses.
-        if (proves(frame->expected.known ? options_.held : options_.sure, gathered_)) {
-          unproved_ = 0;
-          return believed;
-        }
-        if (unproved_ < options_.unproved_frames && proves(options_.promising, evidence_)) return Kind::kUnproved;
+      const bool followed = near && unproved_ == 0;
+      const double before = near || unproved_ > 0 ? gathered_ : 0.0;
+      const double gathered = std::min(options_.most_evidence, before + std::max(evidence_, options_.worst_frame));
+      if (proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
+        unproved_ = 0;
+        gathered_ = gathered;
+        return result->measurements >= options_.health.min_measurements ? Kind::kPose : Kind::kWeak;
+      }
+      if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
+        gathered_ = gathered;
+        return Kind::kUnproved;
       }
     }
     if (unproved_ > 0) {
