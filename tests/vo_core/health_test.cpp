@@ -51,7 +51,7 @@ TEST_F(HealthTest, ALostPictureIsToldWithFigureAndLimitInTheSameFrame) {
   EXPECT_EQ(step(Kind::kNoPose, 12), State::kRelocalising);
   EXPECT_EQ(std::string(health_.reason().text), "too few features");
   EXPECT_EQ(health_.reason().value, 12);
-  EXPECT_EQ(health_.reason().limit, 30);
+  EXPECT_EQ(health_.reason().limit, HealthOptions{}.min_measurements);
   EXPECT_EQ(step(Kind::kPose, 60), State::kTracking);
   EXPECT_EQ(health_.without_pose_ns(), 0);
 }

@@ -17,7 +17,7 @@ struct Reason {
 };
 
 struct HealthOptions {
-  int min_measurements = 30;  ///< image measurements without which a frame does not count (docs/architecture.md)
+  int min_measurements = 20;  ///< image measurements without which a frame does not count (docs/architecture.md)
   rt::TimeNs coast_ns = rt::kNsPerSecond / 2;  ///< longest flight on inertial measurements alone
   /// A picture may be repeated for so long, as recorders and drivers do, before the camera is taken for a frozen one:
   /// until then the next new picture is followed as if nothing had been (TrackerOptions::direct_gap_ns).

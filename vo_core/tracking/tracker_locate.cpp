@@ -217,7 +217,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       const bool followed = near && unproved_ == 0;
       const double before = near || unproved_ > 0 ? gathered_ : 0.0;
       const double gathered = std::min(options_.most_evidence, before + std::max(evidence_, options_.worst_frame));
-      if (proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
+      // After a gap it takes a second look, unless the camera was expected here: then there are two witnesses.
+      const bool first_look = !near && unproved_ == 0 && !frame->expected.known;
+      if (!first_look && proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
         unproved_ = 0;
         gathered_ = gathered;
         return result->measurements >= options_.health.min_measurements ? Kind::kPose : Kind::kWeak;
