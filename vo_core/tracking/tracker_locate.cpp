@@ -185,8 +185,9 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
                          : look_for_likeness(attempt / 2, frame, result) ||
                                recognise_landmarks(attempt / 2, false, frame, result);
   if (!guessed || !measure(in, false, frame, result) || !measure(in, false, frame, result)) return false;
-  gathered_ = evidence_;
-  return proves(options_.promising, evidence_) && as_expected(*frame);
+  if (!proves(options_.promising, evidence_) || !as_expected(*frame)) return false;
+  gathered_ = std::min(options_.most_evidence, evidence_);
+  return true;
 }
 
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
