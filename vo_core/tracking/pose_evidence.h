@@ -23,14 +23,15 @@ struct EvidenceModel {
   double most_found = 20.0;
 };
 
-/// Nats for the pose that `fit` ended with. `not_found`: trials without a match, of points that nothing is known to hide.
-inline double pose_evidence(const PoseOptimizerResult& fit, int not_found, const EvidenceModel& model = {}) {
+/// Nats for the pose that `fit` ended with. `found`: matches, those that the gate took for movers included; `not_found`:
+/// trials without a match, of points that nothing is known to hide.
+inline double pose_evidence(const PoseOptimizerResult& fit, int found, int not_found, const EvidenceModel& model = {}) {
   if (!fit.ok) return 0.0;
   const int corners = fit.freedom + 6 - fit.inliers;
   const int edgelets = fit.inliers - corners;
-  return fit.inliers * model.agrees + (fit.measurements - fit.inliers) * model.disagrees +
+  return fit.inliers * model.agrees + (found - fit.inliers) * model.disagrees +
          corners * model.corner_place + edgelets * model.edgelet_place - 0.5 * fit.chi_square +
-         std::clamp(fit.measurements * model.found + not_found * model.not_found, -model.most_found, model.most_found);
+         std::clamp(found * model.found + not_found * model.not_found, -model.most_found, model.most_found);
 }
 
 }  // namespace godwit::vo

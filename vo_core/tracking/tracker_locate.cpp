@@ -122,7 +122,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   weight_scale_ = p.weight_scale;
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
-  evidence_ = pose_evidence(p, r.trials - (r.matches - r.shaded));
+  evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
   if (result->measurements < options_.least_measurements) return false;
   return enough_found(options_.min_found_share, *result) && enough_agree(options_.min_inlier_share, *result) &&
          as_noisy_as_stated(*result);
