@@ -30,10 +30,10 @@ TEST_F(HealthTest, ARefusedPoseIsToldByWhatItFailedBy) {
   FrameEvidence e;
   e.kind = Kind::kNoPose;
   e.measurements = 44;  // enough, but
-  e.refusal = {"too few of the alignments hold [%]", 8, 10};
+  e.refusal = {"too little speaks for the pose [nats]", 8, 20};
   e.t_capture_ns = 3600 * rt::kNsPerSecond;
   EXPECT_EQ(health_.step(e), State::kRelocalising);
-  EXPECT_STREQ(health_.reason().text, "too few of the alignments hold [%]");
+  EXPECT_STREQ(health_.reason().text, "too little speaks for the pose [nats]");
   EXPECT_EQ(health_.reason().value, 8);
   EXPECT_EQ(health_.reason().limit, 10);
 }

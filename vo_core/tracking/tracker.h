@@ -112,12 +112,6 @@ struct TrackerOptions {
   HealthOptions health;
   MotionGateOptions gate;
   PoseCertaintyOptions certainty;
-  /// Share of the alignments tried that must end as measurements: with fewer the pose is a chance hit. On fr1_xyz the
-  /// share is 0.54 in the median and 0.14 at the least; poses in a wrong valley of the alignment had 0.09.
-  double min_found_share = 0.10;
-  /// Share of the matches that must agree with the pose. Offsets by chance, anywhere within the 4 px that an alignment
-  /// may move, agree with the best pose for them in a quarter of the cases (pose_optimizer_test).
-  double min_inlier_share = 0.35;
   /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance
   /// is so many times the stated one: motion blur and what else the noise model leaves out.
   double noise_allowance = 1.5;
@@ -207,8 +201,6 @@ class Tracker {
   bool measure(const FrameInput& in, bool coarser, Frame* frame, FrameResult* result);
   // These say in refusal_ what they refuse for.
   bool proves(double wanted, double evidence);
-  bool enough_found(double share, const FrameResult& r);
-  bool enough_agree(double share, const FrameResult& r);
   bool as_noisy_as_stated(const FrameResult& r);
   bool as_expected(const Frame& frame);
   bool expects(const FrameInput& in) const { return in.expected.known && in.expected.map_id == map_id_; }

@@ -123,21 +123,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
-  if (result->measurements < options_.least_measurements) return false;
-  return enough_found(options_.min_found_share, *result) && enough_agree(options_.min_inlier_share, *result) &&
-         as_noisy_as_stated(*result);
-}
-
-bool Tracker::enough_found(double share, const FrameResult& r) {
-  if (r.measurements >= share * r.trials) return true;
-  refusal_ = {"too few of the alignments hold [%]", 100 * r.measurements / r.trials, static_cast<int>(100.0 * share)};
-  return false;
-}
-
-bool Tracker::enough_agree(double share, const FrameResult& r) {
-  if (r.measurements >= share * r.matches) return true;
-  refusal_ = {"too many outliers, inliers are [%]", 100 * r.measurements / r.matches, static_cast<int>(100.0 * share)};
-  return false;
+  return result->measurements >= options_.least_measurements && as_noisy_as_stated(*result);
 }
 
 bool Tracker::as_noisy_as_stated(const FrameResult& r) {
