@@ -35,7 +35,7 @@ TEST_F(HealthTest, ARefusedPoseIsToldByWhatItFailedBy) {
   EXPECT_EQ(health_.step(e), State::kRelocalising);
   EXPECT_STREQ(health_.reason().text, "too little speaks for the pose [nats]");
   EXPECT_EQ(health_.reason().value, 8);
-  EXPECT_EQ(health_.reason().limit, 10);
+  EXPECT_EQ(health_.reason().limit, 20);
 }
 
 TEST_F(HealthTest, InitialisesUntilThereIsAMap) {
