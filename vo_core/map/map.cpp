@@ -98,7 +98,8 @@ void Map::activate_point(PointHandle h, const Vec3& p_world) {
   p.p_world = p_world;
   p.observation_count = 0;
   p.found = p.missed = 0;
-  p.last_mark = 0;
+  p.last_mark = p.next_mark = 0;
+  p.rest = 0;
   ++point_count_;
   point_end_ = std::max(point_end_, h.index + 1);
 }

@@ -53,6 +53,7 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   result->keyframes = n;
 
   std::fill_n(cell_head_.begin(), columns_ * rows_, kEnd);
+  std::fill_n(resting_head_.begin(), columns_ * rows_, kEnd);
   std::fill_n(shaded_head_.begin(), columns_ * rows_, kEnd);
   candidate_count_ = 0;
   for (int i = 0; i < n && candidate_count_ < kMaxCandidates; ++i) {
@@ -108,7 +109,8 @@ void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& p
   // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
   const int reliability = p.found * 8 / (p.found + 2 * p.missed + 8);
   c.weight = static_cast<std::uint16_t>(p.observation_count * 8 + reliability);
-  std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
+  CellLists& lists = shaded ? shaded_head_ : p.next_mark > mark_ ? resting_head_ : cell_head_;
+  std::uint16_t* link = &lists[cell];
   while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
   c.next = *link;
   *link = static_cast<std::uint16_t>(candidate_count_++);
@@ -164,21 +166,23 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
                                     int wanted, FrameFeature* out) {
   ReprojectionResult result;
   coarser_ = coarser ? options_.coarser_levels : 0;
+  mark_ = mark;
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;
-  run_free(*map, pyramid, limit, &result, out);
+  run_free(*map, pyramid, limit, &cell_head_, &result, out);
+  if (result.matches < options_.scarce_matches) run_free(*map, pyramid, limit, &resting_head_, &result, out);
   if (result.matches < options_.scarce_matches) run_shaded(*map, pyramid, limit, &result, out);
   return result;
 }
 
-void Reprojector::run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
-                           FrameFeature* out) {
+void Reprojector::run_free(const Map& map, const rt::PyramidView& pyramid, int limit, CellLists* lists,
+                           ReprojectionResult* result, FrameFeature* out) {
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
-      std::uint16_t& head = cell_head_[cell_order_[i]];
-      if (i + 1 < columns_ * rows_) make_ready(map, cell_head_[cell_order_[i + 1]]);
+      std::uint16_t& head = (*lists)[cell_order_[i]];
+      if (i + 1 < columns_ * rows_) make_ready(map, (*lists)[cell_order_[i + 1]]);
       while (head != kEnd) {
         if (result->matches >= limit || result->trials >= options_.max_trials) return;
         const std::uint16_t tried = head;
@@ -222,8 +226,16 @@ void Reprojector::run_shaded(const Map& map, const rt::PyramidView& pyramid, int
 void Reprojector::keep_score(Map* map) const {
   for (int i = 0; i < trial_count_; ++i) {
     MapPoint& p = map->point(trials_[i].point);
-    std::uint16_t& count = trials_[i].found ? p.found : p.missed;
-    if (count < 0xffff) ++count;
+    if (trials_[i].found) {
+      p.rest = 0;
+      if (p.found < 0xffff) ++p.found;
+    } else {
+      // While it rested it would have been missed as well.
+      const int rested = mark_ >= p.next_mark ? p.rest : 0;
+      p.missed = static_cast<std::uint16_t>(std::min(p.missed + 1 + rested, 0xffff));
+      p.next_mark = mark_ + 1 + p.rest;
+      if (p.rest < options_.longest_rest) ++p.rest;
+    }
   }
 }
 
