@@ -56,6 +56,8 @@ struct Keyframe : KeyframeView {
   std::uint32_t id = 0;  ///< counts from 1 within an epoch; 0: this place is free
   int feature_count = 0;
   std::array<KeyframeFeature, kMaxKeyframeFeatures> features;
+  /// The features' points once more, side by side: each frame asks for these of all of them.
+  std::array<PointHandle, kMaxKeyframeFeatures> points;
 
   Vec3 position() const { return T_kf_world.centre(); }
 };
@@ -65,7 +67,8 @@ struct Observation {
   std::uint16_t feature = 0;  ///< place in Keyframe::features
 };
 
-struct MapPoint {
+/// What each frame looks at, and the first five observations, lie in one line of the cache.
+struct alignas(64) MapPoint {
   Vec3 p_world = Vec3::Zero();
   std::uint16_t generation = 0;
   bool active = false;
@@ -132,6 +135,9 @@ class Map {
     std::array<MapPoint, kMaxPoints> points;
   };
   void erase_observation(MapPoint& p, int place, int index);
+  void set_point(int place, int feature, PointHandle h) {
+    keyframes_[place].features[feature].point = keyframes_[place].points[feature] = h;
+  }
 
   std::unique_ptr<Storage> storage_;
   Keyframe* keyframes_;

@@ -8,7 +8,7 @@
 
 namespace godwit::vo {
 namespace {
-constexpr int kAhead = 8;  // points that are asked for before they are projected
+constexpr int kAhead = 16;  // points that are asked for before they are projected
 }
 
 Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& options)
@@ -21,6 +21,7 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
     if (columns_ * rows_ <= kMaxCells) break;
     ++options_.cell_px;
   } while (true);
+  per_cell_ = (1u << kCellShift) / static_cast<unsigned>(options_.cell_px) + 1u;
   // A fixed shuffle, so that a stop at max_features leaves no corner of the picture out.
   const int cells = columns_ * rows_;
   for (int i = 0; i < cells; ++i) cell_order_[i] = static_cast<std::uint16_t>(i);
@@ -60,12 +61,12 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
     const Keyframe& kf = map->keyframe(near[i].second);
     int points = 0;
     for (int f = 0; f < kf.feature_count; ++f) {
-      if (f + kAhead < kf.feature_count) map->prefetch(kf.features[f + kAhead].point);
-      MapPoint* p = map->find(kf.features[f].point);
+      if (f + kAhead < kf.feature_count) map->prefetch(kf.points[f + kAhead]);
+      MapPoint* p = map->find(kf.points[f]);
       if (!p || p->last_mark == mark) continue;
       p->last_mark = mark;
       for (int k = 0; k < 3; ++k) p_world_[k][points] = p->p_world(k);
-      seen_point_[points++] = kf.features[f].point;
+      seen_point_[points++] = kf.points[f];
     }
     project(points, T_cam_world, velocity);
     for (int k = 0; k < points && candidate_count_ < kMaxCandidates; ++k)
@@ -101,7 +102,7 @@ void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& p
   const bool shaded =
       mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
   if (shaded && p.observation_count < options_.proven_observations) return;
-  const int cell = static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
+  const int cell = cell_of(px.y()) * columns_ + cell_of(px.x());
   Candidate& c = candidates_[candidate_count_];
   c.point = point;
   c.px = px.cast<float>();
@@ -134,8 +135,7 @@ void Reprojector::make_ready(const Map& map, std::uint16_t index) {
     }
   }
   if (c.keyframe == kNone) return;
-  const Keyframe& kf = map.keyframe(c.keyframe);
-  prefetch_patch(kf.pyramid, kf.features[c.feature]);
+  patches_.prefetch(map.keyframe(c.keyframe), c.feature, c.point);
 }
 
 bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, float max_residual,
@@ -145,12 +145,14 @@ bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::Pyram
   if (c.keyframe == kNone) return false;
   const Keyframe& kf = map.keyframe(c.keyframe);
   const KeyframeFeature& feature = kf.features[c.feature];
-  const PatchSource source{&kf.pyramid, &feature, (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm()};
+  const double depth = (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm();
+  const SE3& T_cur_kf = T_cur_kf_[c.keyframe];
   MatchResult m;
-  for (int coarser = 0; coarser <= coarser_; ++coarser) {
-    m = match_direct(camera_, source, T_cur_kf_[c.keyframe], pyramid, c.px, options_.max_level, coarser);
-    if (m.found && m.residual <= max_residual) break;
-  }
+  if (const PreparedPatch* const patch =
+          patches_.prepared(camera_, kf, c.feature, c.point, depth, T_cur_kf, options_.max_level))
+    m = match_prepared(*patch, pyramid, c.px);
+  for (int coarser = 1; coarser <= coarser_ && !(m.found && m.residual <= max_residual); ++coarser)
+    m = match_direct(camera_, {&kf.pyramid, &feature, depth}, T_cur_kf, pyramid, c.px, options_.max_level, coarser);
   if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
   out->px = m.px;
   out->gradient = m.gradient;

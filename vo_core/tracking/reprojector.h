@@ -10,6 +10,7 @@
 #include "vo_core/geometry/rolling_shutter.h"
 #include "vo_core/map/map.h"
 #include "vo_core/map/map_exchange.h"
+#include "vo_core/tracking/patch_store.h"
 
 namespace godwit::vo {
 
@@ -93,6 +94,11 @@ class Reprojector {
 
   const CameraModel& camera_;
   ReprojectorOptions options_;
+  /// Row or column of the cell at this place in the picture: a division, rounded down. Exact below 2^20 / cell_px.
+  int cell_of(double at_px) const { return static_cast<int>((static_cast<unsigned>(at_px) * per_cell_) >> kCellShift); }
+  static constexpr int kCellShift = 20;
+  static_assert(rt::kMaxImageWidth <= 1 << 11 && rt::kMaxImageHeight <= 1 << 11);
+  unsigned per_cell_ = 0;
   int columns_, rows_;
   // The points of one keyframe, coordinate by coordinate.
   using Row = std::array<double, CameraModel::row_room(kMaxKeyframeFeatures)>;
@@ -115,6 +121,7 @@ class Reprojector {
   std::array<std::uint16_t, kMaxCells> cell_order_;
   std::array<Vec3, kMaxKeyframes> keyframe_position_;
   std::array<SE3, kMaxKeyframes> T_cur_kf_;
+  PatchStore patches_;
 };
 
 }  // namespace godwit::vo
