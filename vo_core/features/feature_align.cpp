@@ -12,12 +12,13 @@ constexpr float kMinContrast = 2.5f;  // grey levels rms: below, noise decides w
 
 // Parameters: shift along `dims` directions, then gain and offset of the brightness.
 template <int kDims>
-FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, const Vec2f& direction,
-                         int max_iterations, float max_shift_px, Vec2f* px) {
+bool prepare(const ReferencePatch& ref, const Vec2f& direction, AlignTemplate* prepared) {
   constexpr int kN = kDims + 2;
   const RowTag df;
   constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
-  alignas(32) float value[64], g0[64], g1[64];
+  float* const value = prepared->value.data();
+  float* const g0 = prepared->g0.data();
+  float* const g1 = prepared->g1.data();
 
   const auto half = hn::Set(df, 0.5f), along_x = hn::Set(df, direction.x()), along_y = hn::Set(df, direction.y());
   auto sum_of_values = hn::Zero(df);
@@ -73,16 +74,32 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
     H(kDims + 1, kDims + 1) = 64.0f;
     H.template triangularView<Eigen::StrictlyLower>() = H.transpose();
   }
-  FeatureAlignResult result;
   const float contrast = std::sqrt(H(kDims, kDims) / 64.0f);
-  if (contrast < kMinContrast) return result;
+  if (contrast < kMinContrast) return false;
   Eigen::Matrix<float, kN, kN> H_inv;
   bool invertible = false;
   H.computeInverseWithCheck(H_inv, invertible, 1e-6f);
-  if (!invertible || !H_inv.allFinite()) return result;
+  if (!invertible || !H_inv.allFinite()) return false;
+  Eigen::Map<Eigen::Matrix<float, kN, kN>>(prepared->H_inv.data()) = H_inv;
+  prepared->mean = mean;
+  prepared->contrast = contrast;
+  prepared->direction = direction;
+  return true;
+}
 
+template <int kDims>
+FeatureAlignResult align_dims(const rt::ImageView& image, const AlignTemplate& prepared, int max_iterations,
+                              float max_shift_px, Vec2f* px) {
+  constexpr int kN = kDims + 2;
+  const RowTag df;
+  constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
+  const float* const value = prepared.value.data();
+  const float* const g0 = prepared.g0.data();
+  const float* const g1 = prepared.g1.data();
+  const Eigen::Matrix<float, kN, kN> H_inv = Eigen::Map<const Eigen::Matrix<float, kN, kN>>(prepared.H_inv.data());
+  FeatureAlignResult result;
   Vec2f p = *px;
-  float gain = 1.0f, offset = mean;
+  float gain = 1.0f, offset = prepared.mean;
   for (int it = 0; it < max_iterations; ++it) {
     if (!window_inside(image, p, kPatchHalf, kPatchHalf + 1)) return result;
     const float sx = p.x() - kPatchHalf, sy = p.y() - kPatchHalf;
@@ -123,7 +140,7 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
     if constexpr (kDims == 2)
       step = Vec2f(x(0), x(1)) / g;
     else
-      step = x(0) / g * direction;
+      step = x(0) / g * prepared.direction;
     // Residual that is left when this step is taken: r^T r - b^T x.
     const float left = std::max(sum(srr) - b.dot(x), 0.0f);
     gain += x(kDims);
@@ -132,7 +149,7 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
     if ((p - *px).squaredNorm() > max_shift_px * max_shift_px) return result;
     if (step.squaredNorm() < kConvergedPx * kConvergedPx) {
       result.converged = gain > 1 / kMaxGain && gain < kMaxGain;
-      result.residual = std::sqrt(left / 64.0f) / (contrast * std::max(gain, 1 / kMaxGain));
+      result.residual = std::sqrt(left / 64.0f) / (prepared.contrast * std::max(gain, 1 / kMaxGain));
       result.gain = gain;
       *px = p;
       return result;
@@ -143,14 +160,32 @@ FeatureAlignResult align(const rt::ImageView& image, const ReferencePatch& ref, 
 
 }  // namespace
 
+bool prepare_align_2d(const ReferencePatch& ref, AlignTemplate* prepared) {
+  return prepare<2>(ref, Vec2f::Zero(), prepared);
+}
+
+bool prepare_align_1d(const ReferencePatch& ref, const Vec2f& direction, AlignTemplate* prepared) {
+  return prepare<1>(ref, direction, prepared);
+}
+
+FeatureAlignResult align(const rt::ImageView& image, const AlignTemplate& prepared, int max_iterations,
+                         float max_shift_px, Vec2f* px) {
+  return prepared.direction.isZero(0.0f) ? align_dims<2>(image, prepared, max_iterations, max_shift_px, px)
+                                         : align_dims<1>(image, prepared, max_iterations, max_shift_px, px);
+}
+
 FeatureAlignResult align_2d(const rt::ImageView& image, const ReferencePatch& ref, int max_iterations,
                             float max_shift_px, Vec2f* px) {
-  return align<2>(image, ref, Vec2f::Zero(), max_iterations, max_shift_px, px);
+  AlignTemplate prepared;
+  return prepare_align_2d(ref, &prepared) ? align(image, prepared, max_iterations, max_shift_px, px)
+                                          : FeatureAlignResult{};
 }
 
 FeatureAlignResult align_1d(const rt::ImageView& image, const ReferencePatch& ref, const Vec2f& direction,
                             int max_iterations, float max_shift_px, Vec2f* px) {
-  return align<1>(image, ref, direction, max_iterations, max_shift_px, px);
+  AlignTemplate prepared;
+  return prepare_align_1d(ref, direction, &prepared) ? align(image, prepared, max_iterations, max_shift_px, px)
+                                                     : FeatureAlignResult{};
 }
 
 }  // namespace godwit::vo

@@ -36,6 +36,21 @@ inline hn::Vec<RowTag> load_row(const std::uint8_t* p) {
   return hn::ConvertTo(df, hn::PromoteTo(di32, hn::LoadU(du8, p)));
 }
 
+/// The sums of four vectors' lanes, side by side. D: RowTag.
+template <typename D = RowTag>
+hn::Vec<hn::FixedTag<float, 4>> sums_of_lanes(hn::Vec<D> a, hn::Vec<D> b, hn::Vec<D> c, hn::Vec<D> d) {
+  const D df;
+  const auto ac = hn::Add(hn::InterleaveLower(df, a, c), hn::InterleaveUpper(df, a, c));
+  const auto bd = hn::Add(hn::InterleaveLower(df, b, d), hn::InterleaveUpper(df, b, d));
+  const auto abcd = hn::Add(hn::InterleaveLower(df, ac, bd), hn::InterleaveUpper(df, ac, bd));
+  if constexpr (hn::MaxLanes(D()) == 8) {
+    const hn::FixedTag<float, 4> half;
+    return hn::Add(hn::LowerHalf(half, abcd), hn::UpperHalf(half, abcd));
+  } else {
+    return abcd;
+  }
+}
+
 /// Bilinear values at one (x, y) a lane. Precondition of each: 0 <= x < width - 1, 0 <= y < height - 1.
 inline hn::Vec<RowTag> interpolate_lanes(const rt::ImageView& im, hn::Vec<RowTag> x, hn::Vec<RowTag> y) {
   const RowTag df;
@@ -81,6 +96,34 @@ inline void sample_grid(const rt::ImageView& im, float x, float y, int quads, in
       above = below;
     }
   }
+}
+
+/// Samples 4 x 4 pixels spaced by 1, top-left sample at (x, y), row by row, as many rows a vector as it holds. D:
+/// RowTag. Precondition: as of sample_grid().
+template <typename D = RowTag>
+std::array<hn::Vec<D>, 16 / hn::MaxLanes(D())> sample_4x4(const rt::ImageView& im, float x, float y) {
+  const hn::FixedTag<float, 4> d4;
+  const D df;
+  const int xi = static_cast<int>(std::floor(x)), yi = static_cast<int>(std::floor(y));
+  const auto fx = hn::Set(d4, x - static_cast<float>(xi));
+  const auto fy = hn::Set(df, y - static_cast<float>(yi));
+  const std::uint8_t* p = im.row(yi) + xi;
+  std::array<hn::Vec<hn::FixedTag<float, 4>>, 5> row;
+  for (int r = 0; r < 5; ++r, p += im.stride) {
+    const auto left = load4(p);
+    row[r] = hn::MulAdd(fx, hn::Sub(load4(p + 1), left), left);
+  }
+  std::array<hn::Vec<D>, 16 / hn::MaxLanes(D())> out;
+  if constexpr (hn::MaxLanes(D()) == 8) {
+    for (int k = 0; k < 2; ++k) {
+      const auto above = hn::Combine(df, row[2 * k + 1], row[2 * k]);
+      const auto below = hn::Combine(df, row[2 * k + 2], row[2 * k + 1]);
+      out[k] = hn::MulAdd(fy, hn::Sub(below, above), above);
+    }
+  } else {
+    for (int k = 0; k < 4; ++k) out[k] = hn::MulAdd(fy, hn::Sub(row[k + 1], row[k]), row[k]);
+  }
+  return out;
 }
 
 }  // namespace godwit::vo

@@ -71,10 +71,9 @@ void Map::erase_observation(MapPoint& p, int place, int index) {
 }
 
 void Map::remove_observation(int place, int index) {
-  KeyframeFeature& f = keyframes_[place].features[index];
-  MapPoint* p = find(f.point);
-  const PointHandle h = f.point;
-  f.point = {};
+  const PointHandle h = keyframes_[place].features[index].point;
+  MapPoint* p = find(h);
+  set_point(place, index, {});
   if (!p) return;
   erase_observation(*p, place, index);
   if (p->observation_count == 0) remove_point(h);
@@ -98,7 +97,8 @@ void Map::activate_point(PointHandle h, const Vec3& p_world) {
   p.p_world = p_world;
   p.observation_count = 0;
   p.found = p.missed = 0;
-  p.last_mark = 0;
+  p.last_mark = p.next_mark = 0;
+  p.rest = 0;
   ++point_count_;
   point_end_ = std::max(point_end_, h.index + 1);
 }
@@ -108,7 +108,7 @@ void Map::remove_point(PointHandle h) {
   if (!p) return;
   for (int i = 0; i < p->observation_count; ++i) {
     const Observation& o = p->observations[i];
-    keyframes_[o.keyframe].features[o.feature].point = {};
+    set_point(o.keyframe, o.feature, {});
   }
   p->observation_count = 0;
   p->active = false;
@@ -120,13 +120,13 @@ int Map::append_feature(int place, const KeyframeFeature& feature) {
   Keyframe& kf = keyframes_[place];
   if (kf.feature_count >= kMaxKeyframeFeatures) return -1;
   const int index = kf.feature_count++;
-  KeyframeFeature& f = kf.features[index];
-  f = feature;
+  kf.features[index] = feature;
+  kf.points[index] = feature.point;
   MapPoint* p = find(feature.point);
   if (p && p->observation_count < kMaxPointObservations) {
     p->observations[p->observation_count++] = {static_cast<std::uint8_t>(place), static_cast<std::uint16_t>(index)};
   } else {
-    f.point = {};
+    set_point(place, index, {});
   }
   return index;
 }

@@ -56,6 +56,8 @@ struct Keyframe : KeyframeView {
   std::uint32_t id = 0;  ///< counts from 1 within an epoch; 0: this place is free
   int feature_count = 0;
   std::array<KeyframeFeature, kMaxKeyframeFeatures> features;
+  /// The features' points once more, side by side: each frame asks for these of all of them.
+  std::array<PointHandle, kMaxKeyframeFeatures> points;
 
   Vec3 position() const { return T_kf_world.centre(); }
 };
@@ -65,7 +67,8 @@ struct Observation {
   std::uint16_t feature = 0;  ///< place in Keyframe::features
 };
 
-struct MapPoint {
+/// What each frame looks at, and the first five observations, lie in one line of the cache.
+struct alignas(64) MapPoint {
   Vec3 p_world = Vec3::Zero();
   std::uint16_t generation = 0;
   bool active = false;
@@ -73,6 +76,8 @@ struct MapPoint {
   std::uint16_t found = 0;      ///< frames in which the tracker aligned it
   std::uint16_t missed = 0;     ///< frames in which it should have been seen and was not
   std::uint32_t last_mark = 0;  ///< tracker: the last projection that looked at it (a visited mark)
+  std::uint32_t next_mark = 0;  ///< tracker: the first projection that tries it again, before those of the rest it has
+  std::uint8_t rest = 0;        ///< tracker: projections that it is left out of, one more with each miss in a row
   std::array<Observation, kMaxPointObservations> observations;
 };
 
@@ -130,6 +135,9 @@ class Map {
     std::array<MapPoint, kMaxPoints> points;
   };
   void erase_observation(MapPoint& p, int place, int index);
+  void set_point(int place, int feature, PointHandle h) {
+    keyframes_[place].features[feature].point = keyframes_[place].points[feature] = h;
+  }
 
   std::unique_ptr<Storage> storage_;
   Keyframe* keyframes_;

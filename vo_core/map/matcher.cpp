@@ -113,18 +113,20 @@ Vec2f warped_normal(const Eigen::Matrix2f& A, const Vec2f& normal) {
   return (A.determinant() < 0.0f ? Vec2f(-n) : n).normalized();
 }
 
-MatchResult align_match(const rt::PyramidView& cur, const ReferencePatch& patch, const PatchSource& source,
-                        const Eigen::Matrix2f& A, int level, const Vec2f& px_guess, bool seed) {
+bool prepare(const ReferencePatch& patch, const PatchSource& source, const Eigen::Matrix2f& A,
+             AlignTemplate* prepared) {
+  return source.feature->type == FeatureType::kEdgelet
+             ? prepare_align_1d(patch, warped_normal(A, source.feature->gradient), prepared)
+             : prepare_align_2d(patch, prepared);
+}
+
+MatchResult align_match(const rt::PyramidView& cur, const AlignTemplate& reference, int level, const Vec2f& px_guess,
+                        bool seed) {
   MatchResult m;
   m.level = level;
   Vec2f px = to_level(px_guess, level);
-  FeatureAlignResult r;
-  if (source.feature->type == FeatureType::kEdgelet) {
-    m.gradient = warped_normal(A, source.feature->gradient);
-    r = align_1d(cur.level[level], patch, m.gradient, kAlignIterations, kMaxShiftPx, &px);
-  } else {
-    r = align_2d(cur.level[level], patch, kAlignIterations, kMaxShiftPx, &px);
-  }
+  if (!reference.direction.isZero(0.0f)) m.gradient = reference.direction;
+  const FeatureAlignResult r = align(cur.level[level], reference, kAlignIterations, kMaxShiftPx, &px);
   m.residual = r.residual;
   m.found = r.converged && r.residual < residual_limit(seed);
   m.px = from_level(px, level);
@@ -133,26 +135,38 @@ MatchResult align_match(const rt::PyramidView& cur, const ReferencePatch& patch,
 
 }  // namespace
 
-bool warp_matrix(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
-                 Eigen::Matrix2f* A_cur_ref) {
-  // Central difference by the Jacobian chain: pixel -> ray at this depth (tangent plane of the bearing) -> other view.
-  const Vec3 p_ref = source.feature->bearing * source.depth;
-  Vec2 px_ref, px_cur;
-  Mat23 J_ref, J_cur;
-  if (!camera.project(p_ref, &px_ref, &J_ref) || !camera.project(T_cur_ref * p_ref, &px_cur, &J_cur)) return false;
+bool bearing_by_pixel(const CameraModel& camera, const KeyframeFeature& feature, Mat32* turned) {
+  // The Jacobian chain: pixel -> ray (tangent plane of the bearing).
+  const Vec3& f = feature.bearing;
+  Vec2 px;
+  Mat23 J;
+  if (!camera.project(f, &px, &J)) return false;
   // Plane facing the reference camera at the point: two unit vectors across the bearing.
-  const Vec3& f = source.feature->bearing;
   Vec3 u = std::abs(f.z()) < 0.9 ? f.cross(Vec3::UnitZ()) : f.cross(Vec3::UnitX());
   u.normalize();
-  const Vec3 v = f.cross(u);
-  Eigen::Matrix<double, 3, 2> B;
-  B << u, v;
-  const Eigen::Matrix2d D_ref = J_ref * B;
-  const Eigen::Matrix2d D_cur = J_cur * T_cur_ref.R * B;
-  const double det = D_ref.determinant();
-  if (std::abs(det) < 1e-12) return false;
-  *A_cur_ref = (D_cur * D_ref.inverse()).cast<float>();
+  Mat32 B;
+  B << u, f.cross(u);
+  const Eigen::Matrix2d D = J * B;
+  if (std::abs(D.determinant()) < 1e-12) return false;
+  *turned = B * D.inverse();
+  return true;
+}
+
+bool warp_matrix(const CameraModel& camera, const PatchSource& source, const Mat32& turned, const SE3& T_cur_ref,
+                 Eigen::Matrix2f* A_cur_ref) {
+  // A pixel further a point at this depth lies so much further across the bearing, and so much in the other view.
+  Vec2 px;
+  Mat23 J;
+  if (!camera.project(T_cur_ref * (source.feature->bearing * source.depth), &px, &J)) return false;
+  *A_cur_ref = (J * (T_cur_ref.R * turned) * source.depth).cast<float>();
   return A_cur_ref->allFinite();
+}
+
+bool warp_matrix(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
+                 Eigen::Matrix2f* A_cur_ref) {
+  Mat32 turned;
+  return bearing_by_pixel(camera, *source.feature, &turned) &&
+         warp_matrix(camera, source, turned, T_cur_ref, A_cur_ref);
 }
 
 int search_level(const Eigen::Matrix2f& A_cur_ref, int level_ref, int max_level) {
@@ -211,15 +225,25 @@ void prefetch_patch(const rt::PyramidView& pyramid, const KeyframeFeature& featu
   }
 }
 
+bool prepare_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int level, PreparedPatch* patch) {
+  ReferencePatch cut;
+  patch->A_cur_ref = A_cur_ref;
+  patch->level = level;
+  return warp_patch(source, A_cur_ref, level, &cut) && prepare(cut, source, A_cur_ref, &patch->reference);
+}
+
+MatchResult match_prepared(const PreparedPatch& patch, const rt::PyramidView& cur, const Vec2f& px_guess) {
+  return align_match(cur, patch.reference, patch.level, px_guess, false);
+}
+
 MatchResult match_direct(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
                          const rt::PyramidView& cur, const Vec2f& px_guess, int max_level, int coarser) {
   Eigen::Matrix2f A;
   if (!warp_matrix(camera, source, T_cur_ref, &A)) return {};
   const int level = search_level(A, source.feature->level, max_level) + coarser;
-  if (level > max_level) return {};
-  ReferencePatch patch;
-  if (!warp_patch(source, A, level, &patch)) return {};
-  return align_match(cur, patch, source, A, level, px_guess, false);
+  PreparedPatch patch;
+  if (level > max_level || !prepare_patch(source, A, level, &patch)) return {};
+  return match_prepared(patch, cur, px_guess);
 }
 
 bool depth_from_triangulation(const SE3& T_cur_ref, const Vec3& f_ref, const Vec3& f_cur, double* depth) {
@@ -292,7 +316,9 @@ EpipolarResult match_epipolar(const CameraModel& camera, const PatchSource& sour
     // Repeated texture: two places on the line look nearly alike.
     if (second<kMaxZmssd&& static_cast<float>(best)> 0.8f * static_cast<float>(second)) return result;
   }
-  result.match = align_match(cur, patch, source, A, level, best_px, true);
+  AlignTemplate reference;
+  if (!prepare(patch, source, A, &reference)) return result;
+  result.match = align_match(cur, reference, level, best_px, true);
   if (!result.match.found) return result;
   const Vec3 f_cur = camera.unproject(result.match.px.cast<double>() - displaced);
   result.depth_known = depth_from_triangulation(T_cur_ref, f, f_cur, &result.depth);

@@ -19,6 +19,16 @@ struct PatchSource {
   double depth = 1.0;  ///< distance along the feature's bearing, map units
 };
 
+using Mat32 = Eigen::Matrix<double, 3, 2>;
+
+/// How a feature's bearing turns with its pixel [1/px]: what warp_matrix() asks of the source's camera, the same for
+/// each picture. False where the camera cannot tell.
+bool bearing_by_pixel(const CameraModel& camera, const KeyframeFeature& feature, Mat32* turned);
+
+/// warp_matrix() from that.
+bool warp_matrix(const CameraModel& camera, const PatchSource& source, const Mat32& turned, const SE3& T_cur_ref,
+                 Eigen::Matrix2f* A_cur_ref);
+
 /// Linear map from level-0 pixels around the source feature to level-0 pixels of the other view. False when a
 /// neighbouring ray cannot be seen there.
 bool warp_matrix(const CameraModel& camera, const PatchSource& source, const SE3& T_cur_ref,
@@ -41,6 +51,19 @@ struct MatchResult {
   int level = 0;
   float residual = 0.0f;
 };
+
+/// A source's patch as another picture shows it, ready to be aligned.
+struct PreparedPatch {
+  Eigen::Matrix2f A_cur_ref;
+  int level = 0;  ///< of the other picture
+  AlignTemplate reference;
+};
+
+/// Cuts and prepares it. False when it leaves the source picture or has no texture.
+bool prepare_patch(const PatchSource& source, const Eigen::Matrix2f& A_cur_ref, int level, PreparedPatch* patch);
+
+/// Aligns it in `cur`, starting at px_guess (level 0).
+MatchResult match_prepared(const PreparedPatch& patch, const rt::PyramidView& cur, const Vec2f& px_guess);
 
 /// Aligns the source's patch in `cur`, starting at px_guess (level 0), on the level of its own scale or `coarser`
 /// levels above it. Not found above max_level.

@@ -8,7 +8,7 @@
 
 namespace godwit::vo {
 namespace {
-constexpr int kAhead = 8;  // points that are asked for before they are projected
+constexpr int kAhead = 16;  // points that are asked for before they are projected
 }
 
 Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& options)
@@ -21,6 +21,7 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
     if (columns_ * rows_ <= kMaxCells) break;
     ++options_.cell_px;
   } while (true);
+  per_cell_ = (1u << kCellShift) / static_cast<unsigned>(options_.cell_px) + 1u;
   // A fixed shuffle, so that a stop at max_features leaves no corner of the picture out.
   const int cells = columns_ * rows_;
   for (int i = 0; i < cells; ++i) cell_order_[i] = static_cast<std::uint16_t>(i);
@@ -53,18 +54,19 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
   result->keyframes = n;
 
   std::fill_n(cell_head_.begin(), columns_ * rows_, kEnd);
+  std::fill_n(resting_head_.begin(), columns_ * rows_, kEnd);
   std::fill_n(shaded_head_.begin(), columns_ * rows_, kEnd);
   candidate_count_ = 0;
   for (int i = 0; i < n && candidate_count_ < kMaxCandidates; ++i) {
     const Keyframe& kf = map->keyframe(near[i].second);
     int points = 0;
     for (int f = 0; f < kf.feature_count; ++f) {
-      if (f + kAhead < kf.feature_count) map->prefetch(kf.features[f + kAhead].point);
-      MapPoint* p = map->find(kf.features[f].point);
+      if (f + kAhead < kf.feature_count) map->prefetch(kf.points[f + kAhead]);
+      MapPoint* p = map->find(kf.points[f]);
       if (!p || p->last_mark == mark) continue;
       p->last_mark = mark;
       for (int k = 0; k < 3; ++k) p_world_[k][points] = p->p_world(k);
-      seen_point_[points++] = kf.features[f].point;
+      seen_point_[points++] = kf.points[f];
     }
     project(points, T_cam_world, velocity);
     for (int k = 0; k < points && candidate_count_ < kMaxCandidates; ++k)
@@ -100,7 +102,7 @@ void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& p
   const bool shaded =
       mask.levels > 0 && mask.level[0].at(static_cast<int>(px.x() + 0.5), static_cast<int>(px.y() + 0.5));
   if (shaded && p.observation_count < options_.proven_observations) return;
-  const int cell = static_cast<int>(px.y()) / options_.cell_px * columns_ + static_cast<int>(px.x()) / options_.cell_px;
+  const int cell = cell_of(px.y()) * columns_ + cell_of(px.x());
   Candidate& c = candidates_[candidate_count_];
   c.point = point;
   c.px = px.cast<float>();
@@ -108,7 +110,8 @@ void Reprojector::add_candidate(const Map& map, PointHandle point, const Vec2& p
   // Points seen by many keyframes first: their position is known best. Among equals, those that are found again.
   const int reliability = p.found * 8 / (p.found + 2 * p.missed + 8);
   c.weight = static_cast<std::uint16_t>(p.observation_count * 8 + reliability);
-  std::uint16_t* link = shaded ? &shaded_head_[cell] : &cell_head_[cell];
+  CellLists& lists = shaded ? shaded_head_ : p.next_mark > mark_ ? resting_head_ : cell_head_;
+  std::uint16_t* link = &lists[cell];
   while (*link != kEnd && candidates_[*link].weight >= c.weight) link = &candidates_[*link].next;
   c.next = *link;
   *link = static_cast<std::uint16_t>(candidate_count_++);
@@ -132,8 +135,7 @@ void Reprojector::make_ready(const Map& map, std::uint16_t index) {
     }
   }
   if (c.keyframe == kNone) return;
-  const Keyframe& kf = map.keyframe(c.keyframe);
-  prefetch_patch(kf.pyramid, kf.features[c.feature]);
+  patches_.prefetch(map.keyframe(c.keyframe), c.feature, c.point);
 }
 
 bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::PyramidView& pyramid, float max_residual,
@@ -143,12 +145,14 @@ bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::Pyram
   if (c.keyframe == kNone) return false;
   const Keyframe& kf = map.keyframe(c.keyframe);
   const KeyframeFeature& feature = kf.features[c.feature];
-  const PatchSource source{&kf.pyramid, &feature, (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm()};
+  const double depth = (keyframe_position_[c.keyframe] - map.find(c.point)->p_world).norm();
+  const SE3& T_cur_kf = T_cur_kf_[c.keyframe];
   MatchResult m;
-  for (int coarser = 0; coarser <= coarser_; ++coarser) {
-    m = match_direct(camera_, source, T_cur_kf_[c.keyframe], pyramid, c.px, options_.max_level, coarser);
-    if (m.found && m.residual <= max_residual) break;
-  }
+  if (const PreparedPatch* const patch =
+          patches_.prepared(camera_, kf, c.feature, c.point, depth, T_cur_kf, options_.max_level))
+    m = match_prepared(*patch, pyramid, c.px);
+  for (int coarser = 1; coarser <= coarser_ && !(m.found && m.residual <= max_residual); ++coarser)
+    m = match_direct(camera_, {&kf.pyramid, &feature, depth}, T_cur_kf, pyramid, c.px, options_.max_level, coarser);
   if (!m.found || m.residual > max_residual || !camera_.in_image(m.px.cast<double>(), 4.0)) return false;
   out->px = m.px;
   out->gradient = m.gradient;
@@ -164,21 +168,23 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
                                     int wanted, FrameFeature* out) {
   ReprojectionResult result;
   coarser_ = coarser ? options_.coarser_levels : 0;
+  mark_ = mark;
   const int limit = std::min(wanted, options_.max_features);
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;
-  run_free(*map, pyramid, limit, &result, out);
+  run_free(*map, pyramid, limit, &cell_head_, &result, out);
+  if (result.matches < options_.scarce_matches) run_free(*map, pyramid, limit, &resting_head_, &result, out);
   if (result.matches < options_.scarce_matches) run_shaded(*map, pyramid, limit, &result, out);
   return result;
 }
 
-void Reprojector::run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
-                           FrameFeature* out) {
+void Reprojector::run_free(const Map& map, const rt::PyramidView& pyramid, int limit, CellLists* lists,
+                           ReprojectionResult* result, FrameFeature* out) {
   // One point a cell; where points are few, a second and third round through the cells.
   for (int round = 0; round < 3; ++round) {
     for (int i = 0; i < columns_ * rows_; ++i) {
-      std::uint16_t& head = cell_head_[cell_order_[i]];
-      if (i + 1 < columns_ * rows_) make_ready(map, cell_head_[cell_order_[i + 1]]);
+      std::uint16_t& head = (*lists)[cell_order_[i]];
+      if (i + 1 < columns_ * rows_) make_ready(map, (*lists)[cell_order_[i + 1]]);
       while (head != kEnd) {
         if (result->matches >= limit || result->trials >= options_.max_trials) return;
         const std::uint16_t tried = head;
@@ -222,8 +228,16 @@ void Reprojector::run_shaded(const Map& map, const rt::PyramidView& pyramid, int
 void Reprojector::keep_score(Map* map) const {
   for (int i = 0; i < trial_count_; ++i) {
     MapPoint& p = map->point(trials_[i].point);
-    std::uint16_t& count = trials_[i].found ? p.found : p.missed;
-    if (count < 0xffff) ++count;
+    if (trials_[i].found) {
+      p.rest = 0;
+      if (p.found < 0xffff) ++p.found;
+    } else {
+      // While it rested it would have been missed as well.
+      const int rested = mark_ >= p.next_mark ? p.rest : 0;
+      p.missed = static_cast<std::uint16_t>(std::min(p.missed + 1 + rested, 0xffff));
+      p.next_mark = mark_ + 1 + p.rest;
+      if (p.rest < options_.longest_rest) ++p.rest;
+    }
   }
 }
 

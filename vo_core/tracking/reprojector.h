@@ -10,6 +10,7 @@
 #include "vo_core/geometry/rolling_shutter.h"
 #include "vo_core/map/map.h"
 #include "vo_core/map/map_exchange.h"
+#include "vo_core/tracking/patch_store.h"
 
 namespace godwit::vo {
 
@@ -25,6 +26,10 @@ struct ReprojectorOptions {
   /// them. A box holds much that does not move, and the picture itself shows whether the point is hidden.
   int scarce_matches = 100;
   int proven_observations = 3;
+  /// Most frames for which a point rests that was not found, one more with each miss in a row: of those missed five
+  /// times in a row 85 in 100 were missed again (fr1_xyz), and half of all trials that failed were theirs. Where
+  /// matches are scarce they are tried all the same.
+  int longest_rest = 8;
   float shaded_residual = 0.5f;  ///< greatest residual over contrast of a match inside the mask
   RollingShutter shutter;
 };
@@ -76,7 +81,8 @@ class Reprojector {
   /// Where the first `points` of p_world_ appear: u_, v_ and seen_.
   void project(int points, const SE3& T_cam_world, const Vec6& velocity);
   void add_candidate(const Map& map, PointHandle point, const Vec2& px, const rt::MaskPyramidView& mask);
-  void run_free(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
+  using CellLists = std::array<std::uint16_t, kMaxCells>;
+  void run_free(const Map& map, const rt::PyramidView& pyramid, int limit, CellLists* lists, ReprojectionResult* result,
                 FrameFeature* out);
   void run_shaded(const Map& map, const rt::PyramidView& pyramid, int limit, ReprojectionResult* result,
                   FrameFeature* out);
@@ -88,6 +94,11 @@ class Reprojector {
 
   const CameraModel& camera_;
   ReprojectorOptions options_;
+  /// Row or column of the cell at this place in the picture: a division, rounded down. Exact below 2^20 / cell_px.
+  int cell_of(double at_px) const { return static_cast<int>((static_cast<unsigned>(at_px) * per_cell_) >> kCellShift); }
+  static constexpr int kCellShift = 20;
+  static_assert(rt::kMaxImageWidth <= 1 << 11 && rt::kMaxImageHeight <= 1 << 11);
+  unsigned per_cell_ = 0;
   int columns_, rows_;
   // The points of one keyframe, coordinate by coordinate.
   using Row = std::array<double, CameraModel::row_room(kMaxKeyframeFeatures)>;
@@ -97,6 +108,7 @@ class Reprojector {
   std::array<PointHandle, kMaxKeyframeFeatures> seen_point_;
   int candidate_count_ = 0;
   int coarser_ = 0;               ///< of the run at hand
+  std::uint32_t mark_ = 0;        ///< of the run at hand
   Vec3 position_ = Vec3::Zero();  ///< the camera's, of the run at hand
   struct Trial {
     std::uint16_t point;
@@ -105,10 +117,11 @@ class Reprojector {
   int trial_count_ = 0;
   std::array<Trial, kMaxTrials> trials_;
   std::array<Candidate, kMaxCandidates> candidates_;
-  std::array<std::uint16_t, kMaxCells> cell_head_, shaded_head_;  ///< lists of candidates outside and inside the mask
+  CellLists cell_head_, resting_head_, shaded_head_;  ///< candidates outside the mask, resting there, and inside
   std::array<std::uint16_t, kMaxCells> cell_order_;
   std::array<Vec3, kMaxKeyframes> keyframe_position_;
   std::array<SE3, kMaxKeyframes> T_cur_kf_;
+  PatchStore patches_;
 };
 
 }  // namespace godwit::vo

@@ -20,6 +20,7 @@ constexpr float kLeastShare = 0.01f, kNoiseVariance = 16.0f;
 
 void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
   patch_count_ = std::min(rt::count_of(points), rt::count_of(patches_));
+  used_.fill(0.0f);
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
     for (int axis = 0; axis < 3; ++axis) p_ref_[axis][i] = static_cast<float>(points[i].p_ref(axis));
@@ -27,14 +28,16 @@ void SparseImageAlign::look_at(std::span<const AlignPoint> points) {
     Mat23 Jp;
     patch.in_view = camera_.project(points[i].p_ref, &unused, &Jp);
     if (!patch.in_view) continue;
-    patch.J_level_0 =
-        align_jacobian(Jp, points[i].p_ref, row_time(static_cast<double>(points[i].px.y()))).cast<float>();
+    const Mat26 J = align_jacobian(Jp, points[i].p_ref, row_time(static_cast<double>(points[i].px.y())));
+    patch.J_level_0.fill(0.0f);
+    for (int k = 0; k < 12; ++k) patch.J_level_0[8 * (k / 6) + k % 6] = static_cast<float>(J(k / 6, k % 6));
   }
 }
 
 void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points) {
   const hn::FixedTag<float, 4> df;
-  const auto sum = [&](auto v) { return hn::GetLane(hn::SumOfLanes(df, v)); };
+  const RowTag dr;
+  constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
   const float scale = 1.0f / level_scale(level);
   for (int i = 0; i < patch_count_; ++i) {
     Patch& patch = patches_[i];
@@ -42,23 +45,23 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
     patch.visible = patch.in_view && window_inside(ref, px, kHalf + 1, kHalf + 3);
     if (!patch.visible) continue;
     row_[i] = points[i].px.y();
-    patch.J = patch.J_level_0 * scale;
 
-    alignas(16) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
+    alignas(32) float window[6 * 8];  // rows of 8: the patch with a border of 1 pixel
     sample_grid(ref, px.x() - kHalf - 1, px.y() - kHalf - 1, 2, 6, window);
     auto values = hn::Zero(df);
     for (int y = 0; y < 4; ++y) values = hn::Add(values, hn::LoadU(df, window + (y + 1) * 8 + 1));
-    const float mean = sum(values) / 16.0f;
-    auto gxx = hn::Zero(df), gxy = gxx, gyy = gxx, vv = gxx, g1x = gxx, g1y = gxx, gvx = gxx, gvy = gxx;
+    const float mean = hn::GetLane(hn::SumOfLanes(df, values)) / 16.0f;
     for (int y = 0; y < 4; ++y) {
       const float* w = window + (y + 1) * 8 + 1;
       const auto half = hn::Set(df, 0.5f);
-      const auto gx = hn::Mul(half, hn::Sub(hn::LoadU(df, w + 1), hn::LoadU(df, w - 1)));
-      const auto gy = hn::Mul(half, hn::Sub(hn::LoadU(df, w + 8), hn::LoadU(df, w - 8)));
-      const auto v = hn::Sub(hn::LoadU(df, w), hn::Set(df, mean));
-      hn::Store(v, df, patch.value.data() + 4 * y);
-      hn::Store(gx, df, patch.gx.data() + 4 * y);
-      hn::Store(gy, df, patch.gy.data() + 4 * y);
+      hn::Store(hn::Sub(hn::LoadU(df, w), hn::Set(df, mean)), df, patch.value.data() + 4 * y);
+      hn::Store(hn::Mul(half, hn::Sub(hn::LoadU(df, w + 1), hn::LoadU(df, w - 1))), df, patch.gx.data() + 4 * y);
+      hn::Store(hn::Mul(half, hn::Sub(hn::LoadU(df, w + 8), hn::LoadU(df, w - 8))), df, patch.gy.data() + 4 * y);
+    }
+    auto gxx = hn::Zero(dr), gxy = gxx, gyy = gxx, vv = gxx, g1x = gxx, g1y = gxx, gvx = gxx, gvy = gxx;
+    for (int k = 0; k < 16; k += kLanes) {
+      const auto gx = hn::Load(dr, patch.gx.data() + k), gy = hn::Load(dr, patch.gy.data() + k),
+                 v = hn::Load(dr, patch.value.data() + k);
       gxx = hn::MulAdd(gx, gx, gxx);
       gxy = hn::MulAdd(gx, gy, gxy);
       gyy = hn::MulAdd(gy, gy, gyy);
@@ -68,18 +71,33 @@ void SparseImageAlign::prepare(const rt::ImageView& ref, int level, std::span<co
       gvy = hn::MulAdd(gy, v, gvy);
       vv = hn::MulAdd(v, v, vv);
     }
+    alignas(16) float of_gradient[4], of_value[4];
+    hn::Store(sums_of_lanes(gxx, gxy, gyy, vv), df, of_gradient);
+    hn::Store(sums_of_lanes(g1x, g1y, gvx, gvy), df, of_value);
+    mean_[i] = mean;
+    vv_[i] = of_gradient[3];
+    per_value_[i] = 1.0f / (vv_[i] + kGainPrior);
+    g1x_[i] = of_value[0];
+    g1y_[i] = of_value[1];
+    gvx_[i] = of_value[2];
+    gvy_[i] = of_value[3];
     // The patch's own gain and offset are eliminated (Schur complement); its values have no mean, so that they do not
     // mix.
-    patch.mean = mean;
-    patch.vv = sum(vv);
-    patch.per_value = 1.0f / (patch.vv + kGainPrior);
-    patch.g1 = Vec2f(sum(g1x), sum(g1y));
-    patch.gv = Vec2f(sum(gvx), sum(gvy));
-    Eigen::Matrix2f G;
-    const float mixed = sum(gxy);
-    G << sum(gxx), mixed, mixed, sum(gyy);
-    G -= patch.gv * patch.gv.transpose() * patch.per_value + patch.g1 * patch.g1.transpose() / 16.0f;
-    patch.H.noalias() = patch.J.transpose() * (G * patch.J).eval();
+    const float per = per_value_[i], sixteenth = 1.0f / 16.0f;
+    const float G00 = of_gradient[0] - gvx_[i] * gvx_[i] * per - g1x_[i] * g1x_[i] * sixteenth;
+    const float G01 = of_gradient[1] - gvx_[i] * gvy_[i] * per - g1x_[i] * g1y_[i] * sixteenth;
+    const float G11 = of_gradient[2] - gvy_[i] * gvy_[i] * per - g1y_[i] * g1y_[i] * sixteenth;
+    for (int k = 0; k < 16; k += kLanes)
+      hn::Store(hn::Mul(hn::Load(dr, patch.J_level_0.data() + k), hn::Set(dr, scale)), dr, patch.J.data() + k);
+    // H = J^T G J. Each row is stored with two zeros that the next one writes over.
+    const float* const J = patch.J.data();
+    for (int row = 0; row < 6; ++row) {
+      const float a = J[row] * G00 + J[8 + row] * G01, b = J[row] * G01 + J[8 + row] * G11;
+      for (int k = 0; k < 8; k += kLanes)
+        hn::StoreU(hn::MulAdd(hn::Set(dr, a), hn::Load(dr, J + k), hn::Mul(hn::Set(dr, b), hn::Load(dr, J + 8 + k))),
+                   dr, patch.H.data() + 6 * row + k);
+    }
+    patch.H[38] = patch.H[39] = 0.0f;
   }
 }
 
@@ -107,55 +125,98 @@ void SparseImageAlign::warp(const SE3& T_cur_ref) {
                                                          u_.data(), v_.data(), seen_.data()});
 }
 
-int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,
-                                 float* cost) {
+int SparseImageAlign::compare(const rt::ImageView& cur, int level) {
   const hn::FixedTag<float, 4> df;
-  H->setZero();
-  b->setZero();
-  float total = 0.0f, weight_sum = 0.0f;
+  const RowTag dr;
+  constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
   int used = 0;
-  warp(T_cur_ref);
   for (int i = 0; i < patch_count_; ++i) {
     const Patch& patch = patches_[i];
+    used_[i] = 0.0f;
     if (!patch.visible || !(seen_[i] > 0.0f)) continue;
     row_[i] = std::clamp(v_[i], 0.0f, static_cast<float>(camera_.height()));
     const Vec2f px = to_level(Vec2f(u_[i], v_[i]), level);
     if (!window_inside(cur, px, kHalf, kHalf + 1)) continue;
-    alignas(16) float now[16];
-    sample_grid(cur, px.x() - kHalf, px.y() - kHalf, 1, 4, now);
-    const auto mean = hn::Set(df, patch.mean);
-    auto srr = hn::Zero(df), sgx = srr, sgy = srr, s1 = srr, sv = srr;
-    for (int k = 0; k < 16; k += 4) {
-      const auto value = hn::Load(df, patch.value.data() + k);
-      const auto r = hn::Sub(hn::Sub(hn::Load(df, now + k), mean), value);
+    const auto now = sample_4x4(cur, px.x() - kHalf, px.y() - kHalf);
+    const auto mean = hn::Set(dr, mean_[i]);
+    auto srr = hn::Zero(dr), sgx = srr, sgy = srr, s1 = srr, sv = srr;
+    for (int k = 0; k < 16 / kLanes; ++k) {
+      const auto value = hn::Load(dr, patch.value.data() + k * kLanes);
+      const auto r = hn::Sub(hn::Sub(now[k], mean), value);
       srr = hn::MulAdd(r, r, srr);
-      sgx = hn::MulAdd(r, hn::Load(df, patch.gx.data() + k), sgx);
-      sgy = hn::MulAdd(r, hn::Load(df, patch.gy.data() + k), sgy);
+      sgx = hn::MulAdd(r, hn::Load(dr, patch.gx.data() + k * kLanes), sgx);
+      sgy = hn::MulAdd(r, hn::Load(dr, patch.gy.data() + k * kLanes), sgy);
       s1 = hn::Add(r, s1);
       sv = hn::MulAdd(r, value, sv);
     }
-    const float sum_1 = hn::GetLane(hn::SumOfLanes(df, s1)), sum_v = hn::GetLane(hn::SumOfLanes(df, sv));
-    const float offset = sum_1 / 16.0f, more_gain = sum_v * patch.per_value;
-    const float sum_rr = hn::GetLane(hn::SumOfLanes(df, srr));
-    const float squares = sum_rr - sum_1 * offset - sum_v * more_gain;
-    const float mean_square = std::max(squares, 0.0f) / 16.0f;
-    const float rms = std::sqrt(mean_square);
-    const float w = rms <= options_.huber_px ? 1.0f : options_.huber_px / rms;
-    total += w * mean_square;
-    weight_sum += w;
+    hn::StoreU(sums_of_lanes(srr, sgx, sgy, s1), df, sums_.data() + 4 * i);
+    sum_v_[i] = hn::GetLane(hn::SumOfLanes(dr, sv));
+    used_[i] = 1.0f;
     ++used;
-    const Vec2f rg = Vec2f(hn::GetLane(hn::SumOfLanes(df, sgx)), hn::GetLane(hn::SumOfLanes(df, sgy))) -
-                     patch.gv * more_gain - patch.g1 * offset;
+  }
+  return used;
+}
+
+float SparseImageAlign::weigh() {
+  const RowTag d;
+  const auto at = [&](const Row& row, int i) { return hn::LoadU(d, row.data() + i); };
+  const auto set = [&](float value) { return hn::Set(d, value); };
+  const auto zero = hn::Zero(d), one = set(1.0f), sixteenth = set(1.0f / 16.0f), huber = set(options_.huber_px);
+  auto total = zero, weight_sum = zero;
+  for (int i = 0; i < patch_count_; i += static_cast<int>(hn::Lanes(d))) {
+    hn::Vec<RowTag> rr, rgx, rgy, r1;
+    hn::LoadInterleaved4(d, sums_.data() + 4 * i, rr, rgx, rgy, r1);
+    const auto used = hn::Gt(at(used_, i), zero);
+    const auto rv = at(sum_v_, i), mean = at(mean_, i), vv = at(vv_, i);
+    const auto offset = r1 * sixteenth, more_gain = rv * at(per_value_, i);
+    const auto spread = rr - r1 * offset;
+    const auto mean_square = hn::Max(spread - rv * more_gain, zero) * sixteenth;
+    const auto w = hn::Min(one, huber / hn::Max(hn::Sqrt(mean_square), set(1e-6f)));
+    total = total + hn::IfThenElseZero(used, w * mean_square);
+    weight_sum = weight_sum + hn::IfThenElseZero(used, w);
     // The picture's gradients are the reference's times the gain: of the light, which the means tell wherever the patch
     // lies. Less contrast than that light would leave is glare or a white that took all: there is little to read there,
     // and unweighted it would hold the step back.
-    const float gain = std::clamp((patch.mean + offset) / std::max(patch.mean, 1.0f), 1.0f / kMaxGain, kMaxGain);
-    const float variance = patch.vv + 2.0f * sum_v + sum_rr - sum_1 * offset;
-    const float information = w * std::clamp(variance / (gain * gain * patch.vv + kNoiseVariance), kLeastShare, 1.0f);
-    *H += information * patch.H;
-    b->noalias() += information / gain * (patch.J.transpose() * rg);
+    const auto gain = hn::Clamp((mean + offset) / hn::Max(mean, one), set(1.0f / kMaxGain), set(kMaxGain));
+    const auto variance = vv + rv + rv + spread;
+    const auto information = w * hn::Clamp(variance / (gain * gain * vv + set(kNoiseVariance)), set(kLeastShare), one);
+    const auto pull = information / gain;
+    hn::StoreU(information, d, information_.data() + i);
+    hn::StoreU(pull * (rgx - at(gvx_, i) * more_gain - at(g1x_, i) * offset), d, pull_x_.data() + i);
+    hn::StoreU(pull * (rgy - at(gvy_, i) * more_gain - at(g1y_, i) * offset), d, pull_y_.data() + i);
   }
-  *cost = weight_sum > 0 ? total / weight_sum : 0.0f;
+  const float weights = hn::GetLane(hn::SumOfLanes(d, weight_sum));
+  return weights > 0.0f ? hn::GetLane(hn::SumOfLanes(d, total)) / weights : 0.0f;
+}
+
+int SparseImageAlign::accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b,
+                                 float* cost) {
+  const RowTag d;
+  constexpr int kLanes = static_cast<int>(hn::MaxLanes(RowTag()));
+  warp(T_cur_ref);
+  const int used = compare(cur, level);
+  *cost = weigh();
+  std::array<hn::Vec<RowTag>, 40 / kLanes> sum_H;
+  std::array<hn::Vec<RowTag>, 8 / kLanes> sum_b;
+  sum_H.fill(hn::Zero(d));
+  sum_b.fill(hn::Zero(d));
+  for (int i = 0; i < patch_count_; ++i) {
+    if (!(used_[i] > 0.0f)) continue;
+    const Patch& patch = patches_[i];
+    const auto information = hn::Set(d, information_[i]);
+    const auto x = hn::Set(d, pull_x_[i]), y = hn::Set(d, pull_y_[i]);
+    for (int k = 0; k < 40 / kLanes; ++k)
+      sum_H[k] = hn::MulAdd(information, hn::Load(d, patch.H.data() + k * kLanes), sum_H[k]);
+    for (int k = 0; k < 8 / kLanes; ++k) {
+      sum_b[k] = hn::MulAdd(x, hn::Load(d, patch.J.data() + k * kLanes), sum_b[k]);
+      sum_b[k] = hn::MulAdd(y, hn::Load(d, patch.J.data() + 8 + k * kLanes), sum_b[k]);
+    }
+  }
+  alignas(32) float sums[40], pulls[8];
+  for (int k = 0; k < 40 / kLanes; ++k) hn::Store(sum_H[k], d, sums + k * kLanes);
+  for (int k = 0; k < 8 / kLanes; ++k) hn::Store(sum_b[k], d, pulls + k * kLanes);
+  *H = Eigen::Map<const Eigen::Matrix<float, 6, 6, Eigen::RowMajor>>(sums);
+  *b = Eigen::Map<const Vec6f>(pulls);
   return used;
 }
 

@@ -5,6 +5,7 @@
 
 #include <array>
 #include <span>
+#include <tuple>
 
 #include "hal/rt/image.h"
 #include "vo_core/geometry/camera_model.h"
@@ -59,13 +60,13 @@ class SparseImageAlign {
   using Mat6f = Eigen::Matrix<float, 6, 6>;
 
   struct Patch {
-    alignas(16) std::array<float, 16> value, gx, gy;  // grey levels less `mean`; gradient in grey levels a level pixel
-    float mean, vv, per_value;                        // squares of the values; 1 over them and what holds the gain
-    Vec2f g1, gv;                                     // sums of the gradient, and of gradient times value
-    Eigen::Matrix<float, 2, 6> J_level_0, J;          // d pixel / d twist of the reference point, at level 0 and this
-    Mat6f H;
-    bool in_view;  ///< of the camera
-    bool visible;  ///< whole, in the level at hand
+    // Grey levels less their mean; gradient in grey levels a level pixel.
+    alignas(32) std::array<float, 16> value, gx, gy;
+    /// d pixel / d twist of the reference point, at level 0 and at the level at hand, row by row with room for 8.
+    alignas(32) std::array<float, 16> J_level_0, J;
+    alignas(32) std::array<float, 40> H;  ///< 6 x 6, and zeros
+    bool in_view;                         ///< of the camera
+    bool visible;                         ///< whole, in the level at hand
   };
 
   using Row = std::array<float, CameraModel::row_room(kMaxFrameFeatures)>;
@@ -77,6 +78,10 @@ class SparseImageAlign {
   void look_at(std::span<const AlignPoint> points);
   void prepare(const rt::ImageView& ref, int level, std::span<const AlignPoint> points);
   int accumulate(const rt::ImageView& cur, int level, const SE3& T_cur_ref, Mat6f* H, Vec6f* b, float* cost);
+  /// Residuals of the patches against `cur`, where the last warp() has them: sums_, sum_v_ and used_.
+  int compare(const rt::ImageView& cur, int level);
+  /// What each patch weighs and pulls by, several at a time: information_ and pull_. Returns the cost.
+  float weigh();
 
   const CameraModel& camera_;
   SparseAlignOptions options_;
@@ -86,6 +91,14 @@ class SparseImageAlign {
   /// The points in the reference camera's frame; the rows where they were last seen [level-0 px].
   std::array<Row, 3> p_ref_{}, p_cur_{};
   Row row_{}, u_{}, v_{}, seen_{};
+  // Of the patches: mean, sum of the squares, 1 over that and what holds the gain; sums of the gradient and of gradient
+  // times value.
+  Row mean_{}, vv_{}, per_value_{}, g1x_{}, g1y_{}, gvx_{}, gvy_{};
+  // Of the picture at hand: 1 where the patch lies in it; sums of the residual's square, of it times the gradient, and
+  // of itself, four a patch; and of it times the value.
+  Row used_{}, sum_v_{};
+  std::array<float, 4 * std::tuple_size_v<Row>> sums_{};
+  Row information_{}, pull_x_{}, pull_y_{};
 };
 
 }  // namespace godwit::vo

@@ -127,17 +127,30 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
 }
 
 bool Tracker::same_picture(const rt::ImageView& grey) {
-  // Every eighth row, eight bytes at a time: a sensor's noise changes some of them in any two pictures.
-  std::uint64_t hash = 0xcbf29ce484222325ULL;
+  // Every eighth row, eight bytes at a time: a sensor's noise changes some of them in any two pictures. Four sums
+  // beside each other, since each waits for its last product.
+  constexpr int kSums = 4, kStep = 8 * kSums;
+  std::array<std::uint64_t, kSums> sums{1, 2, 3, 4};
+  const auto mix = [](std::uint64_t sum, std::uint64_t eight) {
+    sum = (sum ^ eight) * 0x9e3779b97f4a7c15ULL;
+    return sum ^ (sum >> 29);
+  };
   for (int y = 0; y < grey.height; y += 8) {
     const std::uint8_t* row = grey.row(y);
-    for (int x = 0; x + 8 <= grey.width; x += 8) {
+    int x = 0;
+    for (; x + kStep <= grey.width; x += kStep) {
+      std::array<std::uint64_t, kSums> eight;
+      std::memcpy(eight.data(), row + x, kStep);
+      for (int k = 0; k < kSums; ++k) sums[k] = mix(sums[k], eight[k]);
+    }
+    for (; x + 8 <= grey.width; x += 8) {
       std::uint64_t eight;
       std::memcpy(&eight, row + x, 8);
-      hash = (hash ^ eight) * 0x9e3779b97f4a7c15ULL;
-      hash ^= hash >> 29;
+      sums[0] = mix(sums[0], eight);
     }
   }
+  std::uint64_t hash = 0xcbf29ce484222325ULL;
+  for (const std::uint64_t sum : sums) hash = mix(hash, sum);
   const bool same = have_picture_hash_ && hash == picture_hash_;
   picture_hash_ = hash;
   have_picture_hash_ = true;
