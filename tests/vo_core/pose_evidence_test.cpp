@@ -14,8 +14,8 @@ namespace pose_evidence_test {
 constexpr double kSigmaPx = 0.45;
 constexpr double kAlignmentMayMovePx = 4.0;
 
-/// Points before a camera at the origin: `right` of them measured with the stated noise, `by_chance` anywhere within what an
-/// alignment may move.
+/// Points before a camera at the origin: `right` of them measured with the stated noise, `by_chance` anywhere within
+/// what an alignment may move.
 std::vector<PoseMeasurement> measure(const CameraModel& camera, int right, int by_chance, unsigned seed,
                                      FeatureType type = FeatureType::kCorner) {
   std::mt19937 random(seed);
@@ -69,7 +69,8 @@ TEST(PoseEvidence, WhatIsFoundElsewhereSpeaksAgainst) {
 
 TEST(PoseEvidence, APictureThatHidesMostCountsOnce) {
   const std::vector<PoseMeasurement> m = measure(test::euroc(), 60, 0, 2);
-  const double all_found = evidence(m, 0), some = evidence(m, 100), most = evidence(m, 300), nearly_all = evidence(m, 2000);
+  const double all_found = evidence(m, 0), some = evidence(m, 100), most = evidence(m, 300),
+               nearly_all = evidence(m, 2000);
   EXPECT_GT(all_found, some);
   EXPECT_GT(some, most);
   EXPECT_EQ(most, nearly_all);

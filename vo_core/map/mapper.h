@@ -98,7 +98,8 @@ class Mapper {
   void adjust(int place);
   void forget_keyframes(int newest);
   int least_useful_keyframe(int newest, bool points) const;
-  /// By what the rolling shutter of a picture taken at this velocity moves a point that lies here in its camera's frame.
+  /// By what the rolling shutter of a picture taken at this velocity moves a point that lies here in its camera's
+  /// frame.
   Vec2 displacement(const Vec3& p_cam, const Vec6& velocity) const;
   Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
   void remove_point(PointHandle h);

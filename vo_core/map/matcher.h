@@ -72,8 +72,8 @@ MatchResult match_direct(const CameraModel& camera, const PatchSource& source, c
 
 /// Searches `cur` along the epipolar curve of the source between depths depth_min and depth_max (max may be infinite
 /// in practice: pass a large value), then aligns. Gives the depth along the source's bearing by triangulation.
-/// `displaced`: by what the picture's rolling shutter has moved the point [px]; the match's place has it, the depth not.
-/// Bounded: at most kMaxEpipolarSteps patch comparisons.
+/// `displaced`: by what the picture's rolling shutter has moved the point [px]; the match's place has it, the depth
+/// not. Bounded: at most kMaxEpipolarSteps patch comparisons.
 constexpr int kMaxEpipolarSteps = 120;
 struct EpipolarResult {
   MatchResult match;

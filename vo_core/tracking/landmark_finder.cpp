@@ -181,9 +181,9 @@ LandmarkReport LandmarkFinder::find(const Map& map, const rt::PyramidView& pyram
   if (mask.levels > 0 && corner_count_ < options_.corners) {
     std::array<Vec2f, kMaxCorners> taken;
     for (int i = 0; i < corner_count_; ++i) taken[i] = corners_[i].px;
-    corner_count_ += detector_.detect(pyramid, {}, std::span(taken.data(), corner_count_),
-                                      options_.corners - corner_count_,
-                                      std::span(corners_.data() + corner_count_, options_.corners - corner_count_));
+    corner_count_ +=
+        detector_.detect(pyramid, {}, std::span(taken.data(), corner_count_), options_.corners - corner_count_,
+                         std::span(corners_.data() + corner_count_, options_.corners - corner_count_));
     report.corners = corner_count_;
   }
   report.matches = match(map, pyramid, roll, attempt, last);

@@ -9,8 +9,8 @@
 namespace godwit::vo {
 
 /// Measured on 5,300 poses within 2 cm of the truth and 140 that were off by more than 8 cm, among walkers (tum_fr1_xyz
-/// with those of eight seeds, all attempts of the tracker counted), and on steps of the exposure. Right, a point's place
-/// has the stated noise; wrong, it is anywhere within the three sigmas that make an inlier.
+/// with those of eight seeds, all attempts of the tracker counted), and on steps of the exposure. Right, a point's
+/// place has the stated noise; wrong, it is anywhere within the three sigmas that make an inlier.
 struct EvidenceModel {
   /// Of what was found 85 % agreed with a right pose; with wrong ones that had not just left the right one 33 %, the
   /// best pose for places by chance being chosen among them (25 % in pose_optimizer_test).
@@ -23,14 +23,14 @@ struct EvidenceModel {
   double most_found = 20.0;
 };
 
-/// Nats for the pose that `fit` ended with. `found`: matches, those that the gate took for movers included; `not_found`:
-/// trials without a match, of points that nothing is known to hide.
+/// Nats for the pose that `fit` ended with. `found`: matches, those that the gate took for movers included;
+/// `not_found`: trials without a match, of points that nothing is known to hide.
 inline double pose_evidence(const PoseOptimizerResult& fit, int found, int not_found, const EvidenceModel& model = {}) {
   if (!fit.ok) return 0.0;
   const int corners = fit.freedom + 6 - fit.inliers;
   const int edgelets = fit.inliers - corners;
-  return fit.inliers * model.agrees + (found - fit.inliers) * model.disagrees +
-         corners * model.corner_place + edgelets * model.edgelet_place - 0.5 * fit.chi_square +
+  return fit.inliers * model.agrees + (found - fit.inliers) * model.disagrees + corners * model.corner_place +
+         edgelets * model.edgelet_place - 0.5 * fit.chi_square +
          std::clamp(found * model.found + not_found * model.not_found, -model.most_found, model.most_found);
 }
 

@@ -116,7 +116,8 @@ struct TrackerOptions {
   /// is so many times the stated one: motion blur and what else the noise model leaves out.
   double noise_allowance = 1.5;
   double shaded_sigma = 1.5;  ///< noise of a measurement inside the mask, of that of one outside
-  /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose is a guess.
+  /// A last frame no older than this is tracked from directly. After a longer gap, and by a keyframe, a pose is a
+  /// guess.
   rt::TimeNs direct_gap_ns = 150 * rt::kNsPerMs;
   rt::TimeNs last_frame_gap_ns = rt::kNsPerSecond;  ///< older last frames are not aligned with any more
   /// Evidence (pose_evidence.h) adds up over frames that follow each other, to at most `most_evidence`; one frame takes
@@ -129,7 +130,7 @@ struct TrackerOptions {
   double sure = 40.0;
   double held = 20.0;       ///< a pose that followed right ones is right with this; and a guess where it was expected
   double promising = 10.0;  ///< makes a pose worth following; one wrong pose in twenty has it
-  int least_measurements = 12;  ///< a pose with fewer is none
+  int least_measurements = 12;     ///< a pose with fewer is none
   double crowded = kCrowdedShare;  ///< where movers hide more of the picture, a lost pose is sought by landmarks
   /// With fewer measurements in the last frame, points that motion blur hides are looked for on coarser levels, too. On
   /// euroc_mh01 the fastest turns leave 36 measurements without that and 54 with it.
@@ -140,8 +141,8 @@ struct TrackerOptions {
   /// be.
   double most_expected_sigmas = 4;
   double expected_depth_share = 0.05, expected_turn_rad = 0.05;
-  int unproved_frames = 5;      ///< so many frames may pass until one convinces
-  int delta_delay_frames = 0;   ///< sequential runs: a delta is applied so many frames after the message that caused it
+  int unproved_frames = 5;     ///< so many frames may pass until one convinces
+  int delta_delay_frames = 0;  ///< sequential runs: a delta is applied so many frames after the message that caused it
   rt::TimeNs (*clock)() = nullptr;  ///< for stage times only; nothing depends on it
 };
 
@@ -253,9 +254,9 @@ class Tracker {
   FrameOrder expected_, order_;  ///< of the next frame, and as this one found it
   int room_ = -1;                ///< what is left of it; -1: not looked at since the last frame
 
-  Frame first_;                 ///< first view of the initialisation
-  CoarseMask first_mask_;       ///< its dynamic pixels, kept until it is sent
-  Frame last_;                  ///< last frame with a pose
+  Frame first_;            ///< first view of the initialisation
+  CoarseMask first_mask_;  ///< its dynamic pixels, kept until it is sent
+  Frame last_;             ///< last frame with a pose
   /// Where the camera was when a pose last held, whatever became of guesses since then.
   struct {
     SE3 T_cam_world;

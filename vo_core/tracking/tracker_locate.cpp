@@ -164,12 +164,11 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   // What an attempt before this one has seen is not told as this one's.
   refusal_ = {};
   result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
-  const bool guessed =
-      there              ? look_where_expected(frame->expected, frame, result)
-      : !frame->crowded  ? look_for_likeness(attempt, frame, result)
-      : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, true, frame, result)
-                         : look_for_likeness(attempt / 2, frame, result) ||
-                               recognise_landmarks(attempt / 2, false, frame, result);
+  const bool guessed = there              ? look_where_expected(frame->expected, frame, result)
+                       : !frame->crowded  ? look_for_likeness(attempt, frame, result)
+                       : attempt % 2 == 0 ? recognise_landmarks(attempt / 2, true, frame, result)
+                                          : look_for_likeness(attempt / 2, frame, result) ||
+                                                recognise_landmarks(attempt / 2, false, frame, result);
   if (!guessed || !measure(in, false, frame, result) || !measure(in, false, frame, result)) return false;
   if (!proves(options_.promising, evidence_) || !as_expected(*frame)) return false;
   gathered_ = std::min(options_.most_evidence, evidence_);
