@@ -34,19 +34,23 @@ Mat6 PoseCertainty::carried(const MapShare& share, const SE3& T_cam_centre) cons
 RelativePose PoseCertainty::relative(const Map& map, const SE3& T_cam_world, rt::TimeNs t_capture_ns, const Mat6& own,
                                      const Mat6& strayed) const {
   // The newest keyframe that is old enough; where all are younger, the oldest. Those with a known share come first.
+  // Looked up once a keyframe: a share is large, and so is the way from one to the next.
   int best = -1;
-  const auto better = [&](const Keyframe& a, const Keyframe& b) {
-    const bool known_a = find_share(a.id) != nullptr, known_b = find_share(b.id) != nullptr;
-    if (known_a != known_b) return known_a;
-    const bool old_a = t_capture_ns - a.t_capture_ns >= options_.reference_age_ns;
-    const bool old_b = t_capture_ns - b.t_capture_ns >= options_.reference_age_ns;
-    if (old_a != old_b) return old_a;
-    return old_a ? a.id > b.id : a.id < b.id;
-  };
+  bool best_known = false, best_old = false;
   for (int k = 0; k < kMaxKeyframes; ++k) {
     const Keyframe& kf = map.keyframe(k);
     if (kf.id == 0 || kf.t_capture_ns >= t_capture_ns) continue;
-    if (best < 0 || better(kf, map.keyframe(best))) best = k;
+    const bool known = find_share(kf.id) != nullptr;
+    const bool old = t_capture_ns - kf.t_capture_ns >= options_.reference_age_ns;
+    const bool better = best < 0              ? true
+                        : known != best_known ? known
+                        : old != best_old     ? old
+                        : old                 ? kf.id > map.keyframe(best).id
+                                              : kf.id < map.keyframe(best).id;
+    if (!better) continue;
+    best = k;
+    best_known = known;
+    best_old = old;
   }
   RelativePose out;
   if (best < 0) return out;

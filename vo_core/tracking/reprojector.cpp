@@ -123,18 +123,20 @@ void Reprojector::make_ready(const Map& map, std::uint16_t index) {
   const MapPoint& p = *map.find(c.point);
   // The observation whose direction is nearest to the present one.
   const Vec3 direction = (position_ - p.p_world).normalized();
-  c.keyframe = kNone;
   double best_cos = 0.5;
+  int best = -1;
   for (int i = 0; i < p.observation_count; ++i) {
     const Vec3 d = keyframe_position_[p.observations[i].keyframe] - p.p_world;
     const double cos_angle = d.dot(direction) / d.norm();
-    if (cos_angle > best_cos) {
-      best_cos = cos_angle;
-      c.keyframe = static_cast<std::int8_t>(p.observations[i].keyframe);
-      c.feature = p.observations[i].feature;
-    }
+    // No branch: which is the better one no processor foresees.
+    const bool better = cos_angle > best_cos;
+    best_cos = better ? cos_angle : best_cos;
+    best = better ? i : best;
   }
-  if (c.keyframe == kNone) return;
+  c.keyframe = kNone;
+  if (best < 0) return;
+  c.keyframe = static_cast<std::int8_t>(p.observations[best].keyframe);
+  c.feature = p.observations[best].feature;
   patches_.prefetch(map.keyframe(c.keyframe), c.feature, c.point);
 }
 
@@ -173,7 +175,7 @@ ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, co
   collect(map, mask, T_cam_world, velocity, mark, &result);
   trial_count_ = 0;
   run_free(*map, pyramid, limit, &cell_head_, &result, out);
-  if (result.matches < options_.scarce_matches) run_free(*map, pyramid, limit, &resting_head_, &result, out);
+  if (result.matches < options_.plenty_matches) run_free(*map, pyramid, limit, &resting_head_, &result, out);
   if (result.matches < options_.scarce_matches) run_shaded(*map, pyramid, limit, &result, out);
   return result;
 }

@@ -27,9 +27,10 @@ struct ReprojectorOptions {
   int scarce_matches = 100;
   int proven_observations = 3;
   /// Most frames for which a point rests that was not found, one more with each miss in a row: of those missed five
-  /// times in a row 85 in 100 were missed again (fr1_xyz), and half of all trials that failed were theirs. Where
-  /// matches are scarce they are tried all the same.
+  /// times in a row 85 in 100 were missed again (fr1_xyz), and half of all trials that failed were theirs. With fewer
+  /// matches than plenty_matches they are tried all the same.
   int longest_rest = 8;
+  int plenty_matches = 140;
   float shaded_residual = 0.5f;  ///< greatest residual over contrast of a match inside the mask
   RollingShutter shutter;
 };
