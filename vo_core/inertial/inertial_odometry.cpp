@@ -252,8 +252,9 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (!pose.tracked || buffer_.empty()) return {};
   stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)
-    aids_.move_map(last_seen_camera_, so3_exp(pose.turned_by), pose.moved_by);
+    aids_.correct_map(correction_of(pose, t_last_seen_ns_, last_seen_camera_));
   last_seen_camera_ = pose.T_map_cam.t;
+  t_last_seen_ns_ = pose.t_ns;
   hear_aids(pose);
   if (smoother_.size() == 0 || pose.map_id != map_id_) {
     begin_window(pose);
@@ -261,8 +262,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   }
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
-    smoother_.correct_map(
-        {before_.t_ns - options_.strayed_ns, before_.t_ns, smoother_.newest().camera, pose.turned_by, pose.moved_by});
+    smoother_.correct_map(correction_of(pose, before_.t_ns, smoother_.newest().camera));
     correct(pose);
   }
   // Not where the sensor is silent: then the picture before is not measured, either.

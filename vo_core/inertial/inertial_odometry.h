@@ -41,10 +41,6 @@ struct InertialOdometryOptions {
   rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   VisionStrayOptions stray;
-  /// What a correction of the map takes back vision strayed by over so long: as old as what bundle adjustment moves.
-  /// Chosen on euroc_mh01 with ten and twenty pictures a second and in the simulator between 0.5 and 1.5 s; with 3 s
-  /// and more lengths are off as if all moments moved alike.
-  rt::TimeNs strayed_ns = 800 * rt::kNsPerMs;
   double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
@@ -149,8 +145,9 @@ class InertialOdometry : public MetricMap {
   rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
   bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
   std::uint32_t map_id_ = 0;
-  VisualPose before_;  ///< the last picture's, corrections of the map taken in; without points
-  Vec3 last_seen_camera_ = Vec3::Zero();
+  VisualPose before_;                     ///< the last picture's, corrections of the map taken in; without points
+  Vec3 last_seen_camera_ = Vec3::Zero();  ///< of the last picture with a pose
+  rt::TimeNs t_last_seen_ns_ = 0;
 };
 
 }  // namespace godwit::vo
