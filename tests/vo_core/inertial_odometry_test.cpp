@@ -87,6 +87,38 @@ TEST(InertialOdometry, WhatIsToldIsLessCertainThanTheModelAndElseTheSame) {
   EXPECT_GT(compared, 100);
 }
 
+// Whether to begin is asked as if the bias were wider, what is told is not.
+TEST(InertialOdometry, AMarginForBeginningIsNotTold) {
+  struct Begun {
+    int at = 0;
+    double tilt_variance = 0;
+  };
+  const auto fly = [](unsigned seed, double sigma, double margin) {
+    Flight flight(2, seed);
+    Flown flown(&flight);
+    InertialOdometryOptions options;
+    options.model = flight.model_;
+    options.prior.accel_bias_sigma = sigma;
+    options.begin_bias_margin = margin;
+    flown.odometry_ = std::make_unique<InertialOdometry>(flight.mounting_, options);
+    for (int k = 0; k < 100; ++k) {
+      const MetricPose pose = flown.frame(k);
+      if (pose.valid) return Begun{k, pose.covariance.diagonal().segment<2>(3).mean()};
+    }
+    ADD_FAILURE() << "never metric";
+    return Begun{};
+  };
+  int sooner = 0;
+  for (unsigned seed = 1; seed <= 10; ++seed) {
+    const Begun wide = fly(seed, 0.16, 1), both = fly(seed, 0.08, 2), narrow = fly(seed, 0.08, 1);
+    EXPECT_EQ(both.at, wide.at) << seed;
+    EXPECT_LE(narrow.at, wide.at) << seed;
+    EXPECT_LT(both.tilt_variance, 0.8 * wide.tilt_variance) << seed;
+    sooner += narrow.at < wide.at ? 1 : 0;
+  }
+  EXPECT_GT(sooner, 0) << "the margin decided nothing";
+}
+
 TEST(InertialOdometry, AMapThatBeganBadlyIsBelievedAsFarAsItSays) {
   double nees = 0;
   int told = 0;

@@ -35,11 +35,12 @@ class Flown {
     r.value_m += r.sigma_m * Vec3(noise(), noise(), noise());
     if (!aids_.take(r)) ++refused_;
   }
-  void picture(double t) {
+  void picture(double t) { picture_at(t, in_map(place(t))); }
+  void picture_at(double t, const Vec3& camera) {
     AidPose pose;
     pose.t_ns = static_cast<rt::TimeNs>((t + 10) * 1e9);
     pose.map_id = 1;
-    pose.camera = in_map(place(t));
+    pose.camera = camera;
     pose.depth = 1;
     if (level_) {
       pose.up = -Vec3::UnitY();
@@ -141,7 +142,7 @@ TEST(ScaleAids, ANewMapIsAskedAnewAndAMapThatIsCorrectedIsNot) {
   const Vec3 shift(1, 2, 3), pivot(0.5, 0, 0);
   for (int k = 0; k < 400; ++k) {
     if (k % 4 == 3) g.read(ScaleSource::kSatellites, k / 20.0 - 0.02);
-    if (k == 200) g.aids_.move_map(pivot, turn, shift);
+    if (k == 200) g.aids_.correct_map({0, 0, pivot, so3_log(turn), shift});
     AidPose p;
     p.t_ns = static_cast<rt::TimeNs>((k / 20.0 + 10) * 1e9);
     p.map_id = 1;
@@ -152,6 +153,32 @@ TEST(ScaleAids, ANewMapIsAskedAnewAndAMapThatIsCorrectedIsNot) {
   ASSERT_TRUE(g.aids_.state().known());
   EXPECT_LT(g.off(), 3 * g.aids_.state().log_sigma());
   EXPECT_EQ(g.aids_.state().count(ScaleSource::kSatellites, ScaleVerdict::kGated), 0u);
+}
+
+// Ways by vision come out a tenth too long, and every 0.8 s a correction takes that back from what was seen since the
+// one before. Moved alike, moments before it kept the error, and the scale was a tenth too small for good.
+TEST(ScaleAids, WhatACorrectionTakesBackWasNoWay) {
+  for (const ScaleSource source : {ScaleSource::kBarometer, ScaleSource::kSatellites}) {
+    Flown f(4);
+    Vec3 strayed = Vec3::Zero(), last = Flown::in_map(Flown::place(0)), seen = last;
+    for (int k = 0; k < 400; ++k) {
+      const double t = k / 20.0;
+      if (k % 4 == 3) f.read(source, t - 0.02);
+      const Vec3 now = Flown::in_map(Flown::place(t));
+      strayed += 0.1 * (now - last);
+      last = now;
+      if (k % 16 == 15) {
+        const rt::TimeNs t_last_ns = static_cast<rt::TimeNs>((t - 0.05 + 10) * 1e9);
+        f.aids_.correct_map({t_last_ns - 750 * rt::kNsPerMs, t_last_ns, seen, Vec3::Zero(),
+                             Flown::in_map(Flown::place(t - 0.05)) - seen});
+        strayed.setZero();
+      }
+      seen = now + strayed;
+      f.picture_at(t, seen);
+    }
+    ASSERT_TRUE(f.aids_.state().known());
+    EXPECT_LT(f.off(), 0.04) << scale_source_name(source);
+  }
 }
 
 AidReading starting_height(double metres) {

@@ -17,10 +17,9 @@ double square(double x) {
 
 void AidedOdometry::correct_map(const VisualPose& pose) {
   if (!pose.map_moved || pose.map_id != map_id_) return;
-  const Mat3 turn = so3_exp(pose.turned_by);
-  aids_.move_map(last_camera_, turn, pose.moved_by);
-  vertical_.turn_map(turn);
-  fit_.shift(pose.moved_by);
+  aids_.correct_map(correction_of(pose, t_last_ns_, last_camera_));
+  vertical_.turn_map(so3_exp(pose.turned_by));
+  fit_.correct(pose.turned_by, pose.moved_by, stray_.strayed_ns());
   last_camera_ += pose.moved_by;
   correct(pose);
 }
@@ -78,6 +77,7 @@ MetricPose AidedOdometry::frame(const VisualPose& pose) {
   }
   way_ += (pose.T_map_cam.t - last_camera_).norm();
   last_camera_ = pose.T_map_cam.t;
+  t_last_ns_ = pose.t_ns;
   return metric() ? tell(pose) : MetricPose{};
 }
 

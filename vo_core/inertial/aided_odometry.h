@@ -67,7 +67,8 @@ class AidedOdometry : public MetricMap {
   VelocityFit fit_;
   std::uint32_t map_id_ = 0;
   Vec3 last_camera_ = Vec3::Zero();
-  double way_ = 0;  ///< flown since the anchor [map units]
+  rt::TimeNs t_last_ns_ = 0;  ///< of the last picture with a pose
+  double way_ = 0;            ///< flown since the anchor [map units]
 };
 
 }  // namespace godwit::vo

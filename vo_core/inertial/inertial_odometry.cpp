@@ -12,6 +12,7 @@ InertialOdometry::InertialOdometry(const CameraMounting& mounting, const Inertia
     : MetricMap(options.stray),
       options_(options),
       prior_(options.prior),
+      begin_accel_sigma_(options.begin_bias_margin * options.prior.accel_bias_sigma),
       smoother_(mounting, options.model),
       aids_(options.aids) {}
 
@@ -127,11 +128,13 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     };
     prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, 2e-3));
     prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
+    begin_accel_sigma_ = std::min(begin_accel_sigma_, sigma(S::kAccelBias, 3, 3e-2));
     // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
     prior_.mounting_sigma = std::min(prior_.mounting_sigma, sigma(S::kMounting, 3, 3e-3));
     prior_.time_sigma = std::min(prior_.time_sigma, sigma(S::kTime, 1, 5e-4));
   } else if (!prior_kept_) {
     prior_ = options_.prior;
+    begin_accel_sigma_ = options_.begin_bias_margin * prior_.accel_bias_sigma;
   }
   end();
   prior_kept_ = true;
@@ -185,7 +188,7 @@ bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
 bool InertialOdometry::plausible(double most_sigmas) {
   const S& x = smoother_.newest();
   const double off = std::max((x.bias.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
-                              (x.bias.accel - prior_.bias.accel).norm() / prior_.accel_bias_sigma);
+                              (x.bias.accel - prior_.bias.accel).norm() / begin_accel_sigma_);
   if (!(off < most_sigmas)) return refuse("the biases would be absurd [sigmas]", off, most_sigmas);
   const double turned = (x.mounting - prior_.mounting).norm() / prior_.mounting_sigma;
   if (!(turned < most_sigmas))
@@ -227,20 +230,31 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   first.mounting = prior_.mounting;
   first.time_offset_s = prior_.time_offset_s;
   for (int i = 1; i < n; ++i) smoother_.add(window[i]);
-  InertialPrior prior = prior_;
-  prior.course_sigma = course_sigma(window);
-  smoother_.set_prior(prior);
+  const double course = course_sigma(window);
+  set_prior(begin_accel_sigma_, course);
   count_on(others);
   if (!convincing(smoother_.solve(6))) return;
+  if (begin_accel_sigma_ > prior_.accel_bias_sigma) {
+    set_prior(prior_.accel_bias_sigma, course);
+    if (!smoother_.solve(2).ok) return;
+  }
   begin(pose, smoother_.newest().up);
+}
+
+void InertialOdometry::set_prior(double accel_bias_sigma, double course_sigma) {
+  InertialPrior prior = prior_;
+  prior.accel_bias_sigma = accel_bias_sigma;
+  prior.course_sigma = course_sigma;
+  smoother_.set_prior(prior);
 }
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (!pose.tracked || buffer_.empty()) return {};
   stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)
-    aids_.move_map(last_seen_camera_, so3_exp(pose.turned_by), pose.moved_by);
+    aids_.correct_map(correction_of(pose, t_last_seen_ns_, last_seen_camera_));
   last_seen_camera_ = pose.T_map_cam.t;
+  t_last_seen_ns_ = pose.t_ns;
   hear_aids(pose);
   if (smoother_.size() == 0 || pose.map_id != map_id_) {
     begin_window(pose);
@@ -248,8 +262,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   }
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
-    smoother_.correct_map(
-        {before_.t_ns - options_.strayed_ns, before_.t_ns, smoother_.newest().camera, pose.turned_by, pose.moved_by});
+    smoother_.correct_map(correction_of(pose, before_.t_ns, smoother_.newest().camera));
     correct(pose);
   }
   // Not where the sensor is silent: then the picture before is not measured, either.

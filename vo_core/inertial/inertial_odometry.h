@@ -30,6 +30,9 @@ struct InertialOdometryOptions {
   double begin_scale_sigma = 0.08;
   double begin_up_sigma = 0.03;  ///< [rad]
   double begin_chi2 = 3;         ///< a degree of freedom
+  /// Whether to begin is asked with an accelerometer's bias that may be so many times what its prior says, and whether
+  /// one is absurd, too. What is told has the prior as it is: a margin in it is no error of anything.
+  double begin_bias_margin = 1;
   /// So long nobody trusts it again: the scale's sigma above which it is no longer metric.
   double lost_scale_sigma = 0.15;
   double most_sigmas = 6;  ///< the same for biases and mounting, in sigmas of what they were taken to be at first
@@ -38,15 +41,11 @@ struct InertialOdometryOptions {
   rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   VisionStrayOptions stray;
-  /// What a correction of the map takes back vision strayed by over so long: as old as what bundle adjustment moves.
-  /// Chosen on euroc_mh01 with ten and twenty pictures a second and in the simulator between 0.5 and 1.5 s; with 3 s
-  /// and more lengths are off as if all moments moved alike.
-  rt::TimeNs strayed_ns = 800 * rt::kNsPerMs;
   double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
   double told_place_sigma_m = 4e-3;    ///< an axis
-  double told_turn_sigma_rad = 7e-4;   ///< an axis; a truth from sensors turns by 0.86 mrad itself while it stands
+  double told_turn_sigma_rad = 2e-4;   ///< an axis
   double told_scale_sigma = 1e-2;      ///< of lengths: the accelerometer's scale, and what vision's drifts
   double told_speed_sigma_m_s = 6e-3;  ///< an axis
 };
@@ -108,6 +107,8 @@ class InertialOdometry : public MetricMap {
   double course_sigma(std::span<const InertialNode> window) const;
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
+  /// Begins with what is known of the sensor, its accelerometer's bias as well as this.
+  void set_prior(double accel_bias_sigma, double course_sigma);
   /// Biases and mounting are no further from what they were taken to be at first.
   bool plausible(double most_sigmas);
   bool convincing(const InertialSmoother::Report& report);
@@ -122,6 +123,7 @@ class InertialOdometry : public MetricMap {
 
   const InertialOdometryOptions options_;
   InertialPrior prior_;
+  double begin_accel_sigma_;  ///< of prior_'s accelerometer bias where it is asked whether to begin [m/s^2]
   ImuBuffer buffer_;
   InertialSmoother smoother_;
   ScaleAids aids_;
@@ -143,8 +145,9 @@ class InertialOdometry : public MetricMap {
   rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
   bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
   std::uint32_t map_id_ = 0;
-  VisualPose before_;  ///< the last picture's, corrections of the map taken in; without points
-  Vec3 last_seen_camera_ = Vec3::Zero();
+  VisualPose before_;                     ///< the last picture's, corrections of the map taken in; without points
+  Vec3 last_seen_camera_ = Vec3::Zero();  ///< of the last picture with a pose
+  rt::TimeNs t_last_seen_ns_ = 0;
 };
 
 }  // namespace godwit::vo

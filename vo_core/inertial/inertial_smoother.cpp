@@ -217,28 +217,20 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
 }
 
 void InertialSmoother::correct_map(const MapCorrection& c) {
-  const auto share = [&](rt::TimeNs t_ns) {
-    if (c.to_ns <= c.from_ns) return 1.0;
-    return std::clamp(rt::to_seconds(t_ns - c.from_ns) / rt::to_seconds(c.to_ns - c.from_ns), 0.0, 1.0);
-  };
-  const auto move = [&](double part, Mat3* R, Vec3* camera) {
-    const Mat3 turn = so3_exp(part * c.turned_by);
-    *R = turn * *R;
-    *camera = c.pivot + turn * (*camera - c.pivot) + part * c.moved_by;
-    return turn;
-  };
-  const auto move_state = [&](double part, InertialState* x) {
-    const Mat3 turn = move(part, &x->R_map_body, &x->camera);
+  const auto move_state = [&](rt::TimeNs t_ns, InertialState* x) {
+    const Mat3 turn = c.turn(t_ns);
+    x->R_map_body = turn * x->R_map_body;
+    x->camera = c.moved(t_ns, x->camera);
     x->velocity = turn * x->velocity;
     x->up = turn * x->up;
     x->course = turn * x->course;
   };
-  if (count_ > 0) move_state(share(node(0).t_ns), &prior_at_);
+  if (count_ > 0) move_state(node(0).t_ns, &prior_at_);
   for (int i = 0; i < count_; ++i) {
-    const double part = share(node(i).t_ns);
-    move_state(part, &state(i));
+    move_state(node(i).t_ns, &state(i));
     VisionSight& sight = nodes_[at(i)].sight;
-    move(part, &sight.R_map_cam, &sight.camera);
+    sight.R_map_cam = c.turn(node(i).t_ns) * sight.R_map_cam;
+    sight.camera = c.moved(node(i).t_ns, sight.camera);
   }
 }
 

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "vo_core/inertial/inertial_factors.h"
+#include "vo_core/inertial/map_correction.h"
 
 namespace godwit::vo {
 
@@ -26,14 +27,6 @@ struct InertialPrior {
   double course_sigma = 0.03;      ///< [rad], an axis
   Vec3 mounting = Vec3::Zero();
   double time_offset_s = 0;
-};
-
-/// Bundle adjustment found out what vision had strayed by.
-struct MapCorrection {
-  rt::TimeNs from_ns = 0, to_ns = 0;  ///< over this time
-  Vec3 pivot = Vec3::Zero();          ///< the camera at the end of it, and how that
-  Vec3 turned_by = Vec3::Zero();      ///< turned, rotation vector along the map's axes,
-  Vec3 moved_by = Vec3::Zero();       ///< and moved [map units]
 };
 
 /// Gauss-Newton over a chain: only neighbours are tied, so that elimination from the oldest moment to the newest solves

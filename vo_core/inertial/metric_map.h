@@ -7,6 +7,7 @@
 
 #include "hal/rt/time.h"
 #include "vo_core/inertial/map_anchor.h"
+#include "vo_core/inertial/map_correction.h"
 
 namespace godwit::vo {
 
@@ -44,6 +45,7 @@ struct VisionStrayOptions {
   /// ground (scenario gnss-loss): 20 mrad in the half second in which the map began, 10 mrad 2 s later, 2 mrad 6 s
   /// later, told from the second second on: 0.5 mrad.
   rt::TimeNs memory_ns = 5 * rt::kNsPerSecond;
+  rt::TimeNs strayed_ns = kStrayedNs;  ///< before a correction of the map
 };
 
 /// How fast vision strays, by what the tracker says itself. Plain value; no allocation.
@@ -54,6 +56,7 @@ class VisionStray {
   void judge(const VisualPose& pose);
   double rotation_rate() const { return rotation_rate_; }  ///< variance of an axis [rad^2/s]
   double position_rate() const { return position_rate_; }  ///< the same [depths^2/s]
+  rt::TimeNs strayed_ns() const { return options_.strayed_ns; }
 
  private:
   VisionStrayOptions options_;
@@ -92,6 +95,10 @@ class MetricMap {
   void end() { metric_ = told_ = false; }
   /// The map was corrected. The frame's own view of it stays: what was corrected, jumps.
   void correct(const VisualPose& pose);
+  /// The same for moments before it. The last picture's time and camera, before the correction.
+  MapCorrection correction_of(const VisualPose& pose, rt::TimeNs t_last_ns, const Vec3& last_camera) const {
+    return {t_last_ns - stray_.strayed_ns(), t_last_ns, last_camera, pose.turned_by, pose.moved_by};
+  }
   /// The pose in the frame, with what moved the last one; no velocity. shared: covariance of the scale's logarithm and
   /// of the vertical about the frame's x and y; to it comes vision's own.
   MetricPose pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared);

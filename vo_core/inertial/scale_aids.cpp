@@ -148,11 +148,10 @@ void ScaleAids::above_start(const AidPose& pose) {
                options_.ground_share * std::abs(units)});
 }
 
-void ScaleAids::move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift) {
-  const auto move = [&](Vec3* p) { *p = pivot + turn * (*p - pivot) + shift; };
-  for (Moment& m : moments_) move(&m.camera);
-  move(&start_.camera);
-  for (std::size_t i = 0; i < place_count_; ++i) move(&places_[i].camera);
+void ScaleAids::correct_map(const MapCorrection& c) {
+  for (Moment& m : moments_) m.camera = c.moved(m.t_ns, m.camera);
+  start_.camera = c.moved(start_.t_ns, start_.camera);
+  for (std::size_t i = 0; i < place_count_; ++i) places_[i].camera = c.moved(places_[i].t_ns, places_[i].camera);
 }
 
 }  // namespace godwit::vo

@@ -7,6 +7,7 @@
 #include <span>
 
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/inertial/map_correction.h"
 #include "vo_core/inertial/scale_state.h"
 
 namespace godwit::vo {
@@ -63,8 +64,9 @@ class ScaleAids {
   bool take(const AidReading& reading);
   /// Compares what was read since the last pose.
   void pose(const AidPose& pose);
-  /// The map was corrected: places turned about `pivot` and moved [map units].
-  void move_map(const Vec3& pivot, const Mat3& turn, const Vec3& shift);
+  /// The map was corrected: places seen while vision strayed move by their share of it, those before stay, so that the
+  /// ways between them become those of the corrected map.
+  void correct_map(const MapCorrection& correction);
 
   const ScaleState& state() const { return state_; }
 
