@@ -4,8 +4,6 @@
 #include <array>
 #include <cmath>
 
-#include "vo_core/inertial/map_correction.h"
-
 namespace godwit::app {
 namespace {
 
@@ -52,7 +50,7 @@ void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matr
   if (!record.map_moved) return;
   const Eigen::Vector3d moved = world_of(record) * Eigen::Vector3d(record.moved_by.data());
   const Eigen::Vector3d turned = world_of(record) * Eigen::Vector3d(record.turned_by.data());
-  fit_.correct(turned, moved, vo::kStrayedNs);
+  fit_.shift(moved);
   last_q_ = Eigen::AngleAxisd(turned.norm(), turned.stableNormalized()) * last_q_;
   if (moved.norm() > std::max(3 * sigma_of(covariance, 0), kJumpPosition) ||
       turned.norm() > std::max(3 * sigma_of(covariance, 3), kJumpAngle)) {

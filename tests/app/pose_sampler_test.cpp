@@ -324,18 +324,6 @@ TEST(PoseSampler, DoesNotAllocate) {
 }
 
 // Vision flew a tenth too far for 0.8 s, which a correction of the map takes back: what it strayed by was no speed.
-TEST(VelocityFit, WhatACorrectionTakesBackWasNoSpeed) {
-  constexpr rt::TimeNs kStrayedNs = 800 * rt::kNsPerMs;
-  const Vec3 velocity(2, -1, 0.5);
-  vo::VelocityFit fit;
-  const auto place = [&](rt::TimeNs t_ns) { return Vec3(rt::to_seconds(t_ns) * velocity); };
-  for (rt::TimeNs t_ns = 0; t_ns <= kStrayedNs; t_ns += kStrayedNs / 16) fit.add(t_ns, 1.1 * place(t_ns));
-  fit.correct(Vec3::Zero(), -0.1 * place(kStrayedNs), kStrayedNs);
-  const auto motion = fit.at(kStrayedNs, 1e-3);
-  EXPECT_LT((motion.position - place(kStrayedNs)).norm(), 1e-9);
-  EXPECT_LT((motion.velocity - velocity).norm(), 1e-9);
-}
-
 TEST(VelocityFit, AGapBeginsAnew) {
   vo::VelocityFit fit;
   fit.add(0, Vec3::Zero());

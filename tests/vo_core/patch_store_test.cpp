@@ -47,8 +47,8 @@ TEST(PatchStore, CutsAnewOnlyWhatHasTurned) {
   ASSERT_NE(p, nullptr);
   EXPECT_NEAR(p->A_cur_ref(0, 1), 0.0f, 1e-5f);
   const Eigen::Matrix2f first = p->A_cur_ref;
-  // 0.02 rad move the rim by 0.08 px; 0.2 rad by 0.8 px.
-  p = w.prepared(&store, 0.02);
+  // 0.01 rad move the rim by 0.04 px; 0.2 rad by 0.8 px.
+  p = w.prepared(&store, 0.01);
   ASSERT_NE(p, nullptr);
   EXPECT_EQ(p->A_cur_ref, first);
   p = w.prepared(&store, 0.2);

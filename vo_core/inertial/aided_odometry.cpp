@@ -19,7 +19,7 @@ void AidedOdometry::correct_map(const VisualPose& pose) {
   if (!pose.map_moved || pose.map_id != map_id_) return;
   aids_.correct_map(correction_of(pose, t_last_ns_, last_camera_));
   vertical_.turn_map(so3_exp(pose.turned_by));
-  fit_.correct(pose.turned_by, pose.moved_by, stray_.strayed_ns());
+  fit_.shift(pose.moved_by);
   last_camera_ += pose.moved_by;
   correct(pose);
 }

@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <cassert>
 
-#include "vo_core/inertial/map_correction.h"
-
 namespace godwit::vo {
 namespace {
 constexpr double kUnitS = 0.1;  // times near 1 keep the equations well conditioned
@@ -23,11 +21,8 @@ void VelocityFit::add(rt::TimeNs t_ns, const Eigen::Vector3d& position) {
   ++count_;
 }
 
-void VelocityFit::correct(const Eigen::Vector3d& turned_by, const Eigen::Vector3d& moved_by, rt::TimeNs strayed_ns) {
-  if (count_ == 0) return;
-  const Point& newest = point_[count_ - 1];
-  const MapCorrection c{newest.t_ns - strayed_ns, newest.t_ns, newest.position, turned_by, moved_by};
-  for (std::size_t i = 0; i < count_; ++i) point_[i].position = c.moved(point_[i].t_ns, point_[i].position);
+void VelocityFit::shift(const Eigen::Vector3d& by) {
+  for (std::size_t i = 0; i < count_; ++i) point_[i].position += by;
 }
 
 VelocityFit::Estimate VelocityFit::at(rt::TimeNs t_ns, double sigma) const {

@@ -26,9 +26,8 @@ class VelocityFit {
   void clear() { count_ = 0; }
   /// Times must rise.
   void add(rt::TimeNs t_ns, const Eigen::Vector3d& position);
-  /// The map was corrected, by which the newest point turned (rotation vector) and moved: those before move by their
-  /// share of what vision strayed by over strayed_ns, or the slope would keep it.
-  void correct(const Eigen::Vector3d& turned_by, const Eigen::Vector3d& moved_by, rt::TimeNs strayed_ns);
+  /// Moves what was added so far: the frame of reference was corrected.
+  void shift(const Eigen::Vector3d& by);
   std::size_t points() const { return count_; }
 
   /// At least two points. sigma: of one position, as its source knows it. The scatter around the curve counts where it
