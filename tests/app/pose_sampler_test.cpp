@@ -323,7 +323,6 @@ TEST(PoseSampler, DoesNotAllocate) {
   EXPECT_EQ(rt::rt_heap_counts().allocations, before.allocations);
 }
 
-// Vision flew a tenth too far for 0.8 s, which a correction of the map takes back: what it strayed by was no speed.
 TEST(VelocityFit, AGapBeginsAnew) {
   vo::VelocityFit fit;
   fit.add(0, Vec3::Zero());
