@@ -12,8 +12,8 @@ namespace godwit::vo {
 /// with those of eight seeds, all attempts of the tracker counted), and on steps of the exposure. Right, a point's
 /// place has the stated noise; wrong, it is anywhere within the three sigmas that make an inlier.
 struct EvidenceModel {
-  /// Of what was found 85 % agreed with a right pose; with wrong ones that had not just left the right one 33 %, the
-  /// best pose for places by chance being chosen among them (25 % in pose_optimizer_test).
+  /// Of what was found 85 % agreed with a right pose; with one that had left it for a wall's pattern 39 %, with the
+  /// best pose for places by chance 25 % (pose_optimizer_test): between them.
   double agrees = 0.95, disagrees = -1.5;  ///< ln(0.85 / 0.33), ln(0.15 / 0.67)
   double corner_place = 1.50;              ///< ln of the normal distribution's height over that of 1 / (9 pi sigma^2)
   double edgelet_place = 0.87;             ///< over that of 1 / (6 sigma)
