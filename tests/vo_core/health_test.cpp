@@ -20,6 +20,8 @@ class HealthTest : public testing::Test {
     step(Kind::kNoMap);
     step(Kind::kFirstMap, 120);
   }
+  /// Flown in for longer than any map is searched for.
+  void fly_long() { step(Kind::kPose, 120, false, 2 * options_.give_up_ns); }
   HealthOptions options_;
   Health health_{options_};
   rt::TimeNs now_ = rt::kNsPerSecond;
@@ -73,6 +75,7 @@ TEST_F(HealthTest, APoseOfFewFeaturesDoesNotCountAndSaysSo) {
 
 TEST_F(HealthTest, CoastsOnInertialPosesForAShortTimeOnly) {
   begin();
+  fly_long();
   rt::TimeNs coasted = 0;
   while (step(Kind::kNoPose, 0, true) == State::kCoasting) coasted += kFrame;
   EXPECT_EQ(health_.state(), State::kRelocalising);
@@ -86,6 +89,7 @@ TEST_F(HealthTest, CoastsOnInertialPosesForAShortTimeOnly) {
 
 TEST_F(HealthTest, GivesUpOnceAndTellsHowLongItSearched) {
   begin();
+  fly_long();
   int given_up = 0, frames = 0;
   while (given_up == 0 && frames < 1000) {
     ++frames;
@@ -104,6 +108,7 @@ TEST_F(HealthTest, GivesUpOnceAndTellsHowLongItSearched) {
 
 TEST_F(HealthTest, OnlyPicturesThatShowSomethingAreASearch) {
   begin();
+  fly_long();
   const auto without = [&](bool shows_nothing, bool expected) {
     FrameEvidence e;
     e.kind = Kind::kNoPose;
@@ -124,8 +129,29 @@ TEST_F(HealthTest, OnlyPicturesThatShowSomethingAreASearch) {
   EXPECT_NEAR(static_cast<double>(frames * kFrame), static_cast<double>(options_.give_up_ns), 2.0 * kFrame);
   // Whoever knows where the camera should be has looked in the right place at once.
   step(Kind::kFirstMap, 120);
+  fly_long();
   for (frames = 0; !without(false, true) && frames < 1000;) ++frames;
   EXPECT_NEAR(static_cast<double>(frames * kFrame), static_cast<double>(options_.give_up_expected_ns), 2.0 * kFrame);
+}
+
+TEST_F(HealthTest, AMapIsSearchedForNoLongerThanItWasFlownIn) {
+  const auto searched = [&] {
+    rt::TimeNs t = 0;
+    for (step(Kind::kNoPose); !health_.give_up() && t < 100 * options_.give_up_ns; t += kFrame) step(Kind::kNoPose);
+    return static_cast<double>(t);
+  };
+  begin();
+  EXPECT_NEAR(searched(), static_cast<double>(options_.coast_ns), 2.0 * kFrame) << "but as long as it coasts";
+  begin();
+  for (int i = 0; i < 30; ++i) step(Kind::kPose, 60);
+  for (int i = 0; i < 10; ++i) step(Kind::kNoPose);  // was found again: its search begins anew, its life goes on
+  for (int i = 0; i < 30; ++i) step(Kind::kPose, 60);
+  EXPECT_NEAR(searched(), 60.0 * kFrame, 3.0 * kFrame) << "what was searched was not flown";
+  begin();
+  fly_long();
+  EXPECT_NEAR(searched(), static_cast<double>(options_.give_up_ns), 2.0 * kFrame);
+  begin();
+  EXPECT_NEAR(searched(), static_cast<double>(options_.coast_ns), 2.0 * kFrame) << "another map, another life";
 }
 
 TEST_F(HealthTest, AGapInTimeAloneGivesNothingUp) {

@@ -14,6 +14,10 @@ State Health::step(const FrameEvidence& e) {
       break;
     case FrameEvidence::Kind::kFirstMap:
     case FrameEvidence::Kind::kPose:
+      if (e.kind == FrameEvidence::Kind::kFirstMap) flown_ns_ = 0;
+      if (e.kind == FrameEvidence::Kind::kPose && !counting_)
+        flown_ns_ += std::max<rt::TimeNs>(0, e.t_capture_ns - t_pose_ns_);
+      t_pose_ns_ = e.t_capture_ns;
       state_ = State::kTracking;
       reason_ = {e.kind == FrameEvidence::Kind::kPose ? "tracking" : "first map", e.measurements,
                  options_.min_measurements};
@@ -55,7 +59,8 @@ void Health::without_pose(const FrameEvidence& e, const Reason& why) {
   t_last_ns_ = std::max(t_last_ns_, e.t_capture_ns);
   without_pose_ns_ = std::max(without_pose_ns_, e.t_capture_ns - t_first_without_ns_);
   reason_ = why;
-  const rt::TimeNs give_up_ns = e.expected ? options_.give_up_expected_ns : options_.give_up_ns;
+  const rt::TimeNs most_ns = e.expected ? options_.give_up_expected_ns : options_.give_up_ns;
+  const rt::TimeNs give_up_ns = std::min(most_ns, std::max(flown_ns_, options_.coast_ns));
   if (searched_ns_ >= give_up_ns) {
     state_ = State::kLost;
     reason_ = {"not found in the map for too long, a new one begins [ms]",

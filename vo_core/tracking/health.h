@@ -26,6 +26,10 @@ struct HealthOptions {
   /// picture was searched from where the camera should be: what is not found there in 30 pictures is out of view.
   rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;
   rt::TimeNs give_up_expected_ns = rt::kNsPerSecond;
+  // And in any case no longer than the map has been flown in, though as long as is coasted: who has to choose between
+  // going on waiting and paying for what waiting would have saved loses at most twice the least by waiting for just as
+  // long as that is worth (the ski rental problem, Karlin et al., Algorithmica 1988). A map of half a second is made
+  // again in half a second.
 };
 
 /// What one frame has shown.
@@ -75,6 +79,7 @@ class Health {
   rt::TimeNs t_first_without_ns_ = 0;
   rt::TimeNs without_pose_ns_ = 0;
   rt::TimeNs searched_ns_ = 0, t_last_ns_ = 0;
+  rt::TimeNs flown_ns_ = 0, t_pose_ns_ = 0;  ///< tracked in this map; capture time of the last pose in it
 };
 
 }  // namespace godwit::vo
