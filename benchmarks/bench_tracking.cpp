@@ -50,7 +50,8 @@ void sparse_image_align(benchmark::State& state) {
     points.push_back({px, cam.unproject(px.cast<double>()) * 2.0});
   }
   vo::SparseImageAlign align(cam, {});
-  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(align.run(ref.pyramid, cur.pyramid, points, vo::SE3(), {}));
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(align.run(ref.pyramid, cur.pyramid, points, vo::SE3(), {}));
 }
 BENCHMARK(sparse_image_align)->Unit(benchmark::kMicrosecond);
 

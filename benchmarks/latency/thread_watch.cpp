@@ -36,6 +36,7 @@ std::vector<ThreadUse> ThreadWatch::uses() const {
     use.preemptions += thread.last.preemptions - thread.first.preemptions;
   }
   std::vector<ThreadUse> out;
+  out.reserve(by_name.size());
   for (auto& [name, use] : by_name) out.push_back(use);
   std::sort(out.begin(), out.end(),
             [](const ThreadUse& a, const ThreadUse& b) { return a.cpu_percent > b.cpu_percent; });
