@@ -9,7 +9,7 @@ namespace godwit::bench {
 void ThreadWatch::look(rt::TimeNs now_ns) {
   std::error_code error;
   for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", error)) {
-    const std::filesystem::path folder = task.path();
+    const std::filesystem::path& folder = task.path();
     Reading r;
     r.t_ns = now_ns;
     std::getline(std::ifstream(folder / "comm") >> std::ws, r.name);
