@@ -6,7 +6,8 @@ import sys
 
 PARTS = runpy.run_path(str(pathlib.Path(__file__).resolve().parent / 'same_flight.py'))
 chance, worse = PARTS['chance'], PARTS['worse']
-# ATE [m] of amd64's release build (7a68090) over 300 pictures of the night, from its first to its fourteenth picture on.
+# ATE [m] of amd64's release build (7a68090, the last ones perhaps 5f46717) over 300 pictures of the night, from its first to
+# its fourteenth picture on.
 NIGHT = [0.00608, 0.00780, 0.01107, 0.00751, 0.00739, 0.00860, 0.00713]
 NIGHT_LATER = [0.00689, 0.01086, 0.00784, 0.00680, 0.00757, 0.01014, 0.00718]
 
