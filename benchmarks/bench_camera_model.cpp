@@ -22,7 +22,7 @@ void project(benchmark::State& state, CameraModel (*make)(), bool jacobian) {
   std::size_t i = 0;
   Vec2 px;
   Mat23 J;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     benchmark::DoNotOptimize(camera.project(points[i], &px, jacobian ? &J : nullptr));
     benchmark::DoNotOptimize(px.data());
     i = i + 1 == points.size() ? 0 : i + 1;
@@ -33,7 +33,7 @@ void unproject(benchmark::State& state, CameraModel (*make)()) {
   const CameraModel camera = make();
   const std::vector<Vec2> list = pixels(camera);
   std::size_t i = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     benchmark::DoNotOptimize(camera.unproject(list[i]));
     i = i + 1 == list.size() ? 0 : i + 1;
   }

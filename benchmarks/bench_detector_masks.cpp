@@ -30,7 +30,7 @@ void carry_and_mask(benchmark::State& state) {
   std::int64_t t_ns = 0;
   carrier.advance(t_ns, features, {});
   carrier.replace(t_ns, boxes.view());
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     t_ns += 33'000'000;
     carrier.advance(t_ns, features, {});
     if (t_ns % 330'000'000 == 0) carrier.replace(t_ns, boxes.view());

@@ -20,7 +20,7 @@ void detect(benchmark::State& state, const vo::test::Picture& picture, bool half
     for (int i = 0; i < found; ++i) occupied.push_back(features[static_cast<std::size_t>(i)].px);
   }
   int found = 0;
-  for (auto _ : state) found = detector.detect(pyramid.view(), {}, occupied, wanted, features);
+  for ([[maybe_unused]] auto _ : state) found = detector.detect(pyramid.view(), {}, occupied, wanted, features);
   int edgelets = 0;
   for (int i = 0; i < found; ++i) edgelets += features[static_cast<std::size_t>(i)].type == vo::FeatureType::kEdgelet;
   state.counters["found"] = found;
@@ -30,7 +30,7 @@ void detect(benchmark::State& state, const vo::test::Picture& picture, bool half
 void fast_level0(benchmark::State& state, const vo::test::Picture& picture) {
   const rt::ImageView image = picture.view();
   std::vector<std::uint8_t> scores(static_cast<std::size_t>(image.width));
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     for (int y = 8; y < image.height - 8; ++y) vo::fast_score_row(image, y, 8, image.width - 8, 5, scores.data());
     benchmark::DoNotOptimize(scores.data());
     benchmark::ClobberMemory();

@@ -51,7 +51,7 @@ struct Tracks {
 void fit_rotation(benchmark::State& state) {
   const Tracks t;
   std::vector<double> scratch(kTracks);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     vo::Mat3 R = vo::Mat3::Identity();
     benchmark::DoNotOptimize(vo::fit_rotation(t.first, t.views.back(), kFocal, scratch, &R));
   }
@@ -64,7 +64,7 @@ void two_view_geometry(benchmark::State& state) {
   for (auto& p : a) p *= kFocal;
   for (auto& p : b) p *= kFocal;
   vo::TwoViewGeometry geometry({});
-  for (auto _ : state) benchmark::DoNotOptimize(geometry.estimate(a, b, kFocal));
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(geometry.estimate(a, b, kFocal));
 }
 BENCHMARK(two_view_geometry)->Unit(benchmark::kMicrosecond);
 
@@ -73,7 +73,7 @@ void multi_view_refine_4_steps(benchmark::State& state) {
   vo::MultiViewRefiner refiner;
   refiner.begin(t.first, kFocal, 0.15);
   for (const auto& view : t.views) refiner.add_view(view);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     vo::MultiViewState s = t.start;
     benchmark::DoNotOptimize(refiner.refine(4, &s));
   }
@@ -105,7 +105,7 @@ void klt_track(benchmark::State& state) {
   vo::KltTracker tracker({});
   int alive = tracker.set_reference(first.pyramid, px, 1.0f);
   bool flip = false;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     alive = tracker.track((flip = !flip) ? left.pyramid : right.pyramid);
     benchmark::DoNotOptimize(alive);
   }

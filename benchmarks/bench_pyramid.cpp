@@ -9,7 +9,7 @@ void five_levels(benchmark::State& state, const vo::test::Picture& picture) {
   const rt::ImageView base = picture.view();
   const std::size_t bytes = vo::pyramid_bytes(base.width, base.height, rt::kPyramidLevels);
   auto* storage = static_cast<std::uint8_t*>(std::aligned_alloc(rt::kRowAlignment, bytes));
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     benchmark::DoNotOptimize(vo::build_pyramid(base, rt::kPyramidLevels, storage, bytes));
     benchmark::ClobberMemory();
   }

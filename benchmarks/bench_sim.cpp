@@ -16,7 +16,7 @@ sim::Scenario scenario(const std::string& name) {
 
 void make_world(benchmark::State& state, const std::string& name) {
   const sim::Scenario plan = scenario(name);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     const sim::Flight flight(plan, 1);
     benchmark::DoNotOptimize(sim::check_clearance(flight));
   }
@@ -31,7 +31,7 @@ void draw(benchmark::State& state, const std::string& name) {
   const rt::MutableImageView grey{pixels.data(), camera->width(), camera->height(), camera->width()};
   hal::CapturedFrame frame;
   int index = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     camera->skip_to(index);
     benchmark::DoNotOptimize(camera->next(grey, nullptr, 0, &frame, nullptr));
     benchmark::ClobberMemory();

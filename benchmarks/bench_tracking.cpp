@@ -50,7 +50,8 @@ void sparse_image_align(benchmark::State& state) {
     points.push_back({px, cam.unproject(px.cast<double>()) * 2.0});
   }
   vo::SparseImageAlign align(cam, {});
-  for (auto _ : state) benchmark::DoNotOptimize(align.run(ref.pyramid, cur.pyramid, points, vo::SE3(), {}));
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(align.run(ref.pyramid, cur.pyramid, points, vo::SE3(), {}));
 }
 BENCHMARK(sparse_image_align)->Unit(benchmark::kMicrosecond);
 
@@ -60,7 +61,7 @@ void align_one_feature(benchmark::State& state) {
   for (int y = 0; y < vo::kPatchBorderSize; ++y)
     for (int x = 0; x < vo::kPatchBorderSize; ++x)
       patch.value[static_cast<std::size_t>(y * vo::kPatchBorderSize + x)] = ref.pyramid.level[0].at(295 + x, 195 + y);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     vo::Vec2f px(300.0f, 200.0f);
     benchmark::DoNotOptimize(vo::align_2d(cur.pyramid.level[0], patch, 8, 4.0f, &px));
   }
@@ -80,7 +81,7 @@ void optimize_pose(benchmark::State& state) {
     x.px = px + vo::Vec2(noise(random), noise(random));
     m.push_back(x);
   }
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     vo::SE3 T = vo::SE3::exp((vo::Vec6() << 0.01, 0.01, -0.01, 0.002, 0.003, -0.002).finished());
     benchmark::DoNotOptimize(vo::optimize_pose(cam, {}, m, &T));
   }
@@ -89,7 +90,7 @@ BENCHMARK(optimize_pose)->Unit(benchmark::kMicrosecond);
 
 void update_depth_filter(benchmark::State& state) {
   vo::DepthEstimate e = vo::DepthEstimate::prior(2.0, 0.5);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     vo::DepthEstimate x = e;
     x.update(0.45, 0.01);
     benchmark::DoNotOptimize(x);
@@ -122,7 +123,7 @@ void bundle_adjustment(benchmark::State& state) {
     }
   }
   vo::BundleAdjuster bundle(cam, {});
-  for (auto _ : state) benchmark::DoNotOptimize(bundle.run(map.get(), 14));
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(bundle.run(map.get(), 14));
 }
 BENCHMARK(bundle_adjustment)->Unit(benchmark::kMillisecond);
 

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "benchmarks/last_catch.h"
 #include "benchmarks/yardstick.h"
 #include "hal/camera/pixels/jpeg_decoder.h"
 #include "hal/camera/pixels/pixel_format.h"
@@ -145,9 +146,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
   return 0;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int measure(int argc, char** argv) {
   CLI::App cli("Times the conversions of a camera's pictures against a workload of known size.",
                "godwit-conversion-yardstick");
   std::string sequence;
@@ -157,4 +156,10 @@ int main(int argc, char** argv) {
   cli.add_option("--frames", replay.frames, "Stop after N pictures")->check(CLI::PositiveNumber);
   CLI11_PARSE(cli, argc, argv);
   return run(sequence, replay);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return bench::last_catch("godwit-conversion-yardstick", measure, argc, argv);
 }

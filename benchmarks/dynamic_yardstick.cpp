@@ -20,6 +20,7 @@
 #include <memory>
 #include <vector>
 
+#include "benchmarks/last_catch.h"
 #include "benchmarks/yardstick.h"
 #include "firmware_app/config/config.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
@@ -245,9 +246,7 @@ int run(const Options& options) {
   return 0;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int measure(int argc, char** argv) {
   CLI::App cli("Times what leaving movers out costs the tracker's thread against a workload of known size.",
                "godwit-dynamic-yardstick");
   Options options;
@@ -262,4 +261,10 @@ int main(int argc, char** argv) {
   cli.add_option("--frames", options.replay.frames, "Stop after N pictures (default: all)")->check(CLI::PositiveNumber);
   CLI11_PARSE(cli, argc, argv);
   return run(options);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return bench::last_catch("godwit-dynamic-yardstick", measure, argc, argv);
 }

@@ -61,6 +61,7 @@ int main(int argc, char** argv) {
   std::vector<godwit::vo::Feature> features(static_cast<std::size_t>(wanted));
   features.resize(static_cast<std::size_t>(detector.detect(pyramid.view(), mask.view(), {}, wanted, features)));
   std::vector<Vec2f> quadtree;
+  quadtree.reserve(features.size());
   for (const auto& f : features) quadtree.push_back(f.px);
   const std::vector<Vec2f> plain = godwit::vo::test::plain_fast(base, mask.view().level[0], wanted);
 

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 #include <vector>
 
+#include "benchmarks/last_catch.h"
 #include "benchmarks/yardstick.h"
 #include "firmware_app/config/config.h"
 #include "firmware_app/pipeline/feeder.h"
@@ -92,9 +93,7 @@ int run(const std::string& sequence, const hal::ReplayOptions& replay) {
   return 0;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int measure(int argc, char** argv) {
   CLI::App cli("Times the tracker against a workload of known size, frame by frame in one run.", "godwit-yardstick");
   std::string sequence;
   hal::ReplayOptions replay;
@@ -103,4 +102,10 @@ int main(int argc, char** argv) {
   cli.add_option("--frames", replay.frames, "Stop after N pictures (default: all)")->check(CLI::PositiveNumber);
   CLI11_PARSE(cli, argc, argv);
   return run(sequence, replay);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return bench::last_catch("godwit-yardstick", measure, argc, argv);
 }

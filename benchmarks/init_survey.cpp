@@ -13,6 +13,7 @@
 #include <vector>
 #include <yaml-cpp/yaml.h>
 
+#include "benchmarks/last_catch.h"
 #include "benchmarks/table_file.h"
 #include "vo_core/image/pyramid.h"
 #include "vo_core/tracking/initializer.h"
@@ -150,9 +151,7 @@ double degrees(double rad) {
   return rad * 180.0 / M_PI;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   if (argc < 2) return usage(argv[0]);
   godwit::vo::InitializerOptions options;
   Sequence s;
@@ -285,4 +284,10 @@ int main(int argc, char** argv) {
   line("waiting frame [ms]", all_waiting);
   line("deciding frame [ms]", all_deciding);
   return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return godwit::bench::last_catch("godwit-init-survey", run, argc, argv);
 }

@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "benchmarks/last_catch.h"
 #include "benchmarks/table_file.h"
 #include "detector/decode.h"
 #include "firmware_app/dynamic/dynamic_masks.h"
@@ -117,9 +118,7 @@ std::unique_ptr<app::DynamicMasks> open(const rt::FramePool* pool, const std::st
   return std::move(out).value();
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   int every = 1, late = 0, limit = 1 << 30;
   float score = 0.25F;
   std::string model = GODWIT_MODEL_DIR "/cbam_yolov5n_416.onnx";
@@ -220,4 +219,11 @@ int main(int argc, char** argv) {
       if (times > 0) std::printf(" %dx%d", times, length);
     std::printf("\n");
   }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return bench::last_catch("godwit-mask-survey", run, argc, argv);
 }

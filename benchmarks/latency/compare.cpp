@@ -53,6 +53,7 @@ std::vector<std::string> command_of(const Options& o, const std::string& side, c
 /// Runs the command to its end. Error: it could not be started, or its exit code.
 rt::Result<void> run(const std::vector<std::string>& words) {
   std::vector<char*> arguments;
+  arguments.reserve(words.size() + 1);
   for (const std::string& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
   arguments.push_back(nullptr);
   pid_t child = 0;

@@ -32,11 +32,14 @@ struct Axes {
             box.y + box.height - static_cast<int>(std::lround(box.height * std::clamp(y / y_most, 0.0, 1.0)))};
   }
   void draw(cv::Mat* picture, const std::string& x_name, const std::string& y_name) const {
-    for (double x = 0; x <= x_most * 1.0001; x += round_step(x_most)) {
+    const double step_x = round_step(x_most), step_y = round_step(y_most);
+    for (int i = 0; i * step_x <= x_most * 1.0001; ++i) {
+      const double x = i * step_x;
       cv::line(*picture, at(x, 0), at(x, y_most), kGrid);
       write(picture, fmt::format("{:g}", x), at(x, 0) + cv::Point(-8, 16), 0.4);
     }
-    for (double y = 0; y <= y_most * 1.0001; y += round_step(y_most)) {
+    for (int i = 0; i * step_y <= y_most * 1.0001; ++i) {
+      const double y = i * step_y;
       cv::line(*picture, at(0, y), at(x_most, y), kGrid);
       write(picture, fmt::format("{:g}", y), at(0, y) + cv::Point(-42, 4), 0.4);
     }

@@ -9,7 +9,7 @@ namespace godwit::bench {
 void ThreadWatch::look(rt::TimeNs now_ns) {
   std::error_code error;
   for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", error)) {
-    const std::filesystem::path folder = task.path();
+    const std::filesystem::path& folder = task.path();
     Reading r;
     r.t_ns = now_ns;
     std::getline(std::ifstream(folder / "comm") >> std::ws, r.name);
@@ -36,6 +36,7 @@ std::vector<ThreadUse> ThreadWatch::uses() const {
     use.preemptions += thread.last.preemptions - thread.first.preemptions;
   }
   std::vector<ThreadUse> out;
+  out.reserve(by_name.size());
   for (auto& [name, use] : by_name) out.push_back(use);
   std::sort(out.begin(), out.end(),
             [](const ThreadUse& a, const ThreadUse& b) { return a.cpu_percent > b.cpu_percent; });

@@ -37,7 +37,7 @@ struct BundleProblem;
 class BundleAdjuster {
  public:
   static constexpr int kMaxFree = 24;
-  static constexpr int kMaxPoints_ = 3000;
+  static constexpr int kMaxBundlePoints = 3000;
   static constexpr int kMaxObservations = 24000;
   static constexpr int kMaxOutliers = 512;
 

@@ -41,7 +41,7 @@ void BundleProblem::select(const Map& map, int centre) {
       const PointHandle h = k.features[i].point;
       const MapPoint* p = map.find(h);
       if (!p || point_mark[h.index] || p->observation_count < 2) continue;
-      if (point_count >= BundleAdjuster::kMaxPoints_ ||
+      if (point_count >= BundleAdjuster::kMaxBundlePoints ||
           obs_count + p->observation_count > BundleAdjuster::kMaxObservations)
         continue;
       point_mark[h.index] = 1;

@@ -44,7 +44,7 @@ struct BundleProblem {
     std::array<SE3, kViews> T_view_world;
     std::array<Mat6, kViews> own;                            ///< inverse information of what each measures
     std::array<std::array<Mat6, kMaxFree>, kViews> by_pose;  ///< of the normal equations, by the free poses
-    std::array<Eigen::Matrix<double, 6 * kViews, 3>, BundleAdjuster::kMaxPoints_> by_point;  ///< zero: out of view
+    std::array<Eigen::Matrix<double, 6 * kViews, 3>, BundleAdjuster::kMaxBundlePoints> by_point;  ///< zero: out of view
     std::array<std::array<Vec6, kMaxFree + 1>, kCells> here;  ///< sums over a cell's points
     std::array<Vec18, kCells> change;
   };
@@ -70,7 +70,7 @@ struct BundleProblem {
   std::array<SE3, kMaxKeyframes> pose, pose_new;
   std::array<int, kMaxKeyframes> place_pose;
   std::array<int, kMaxKeyframes> shared;
-  std::array<Point, BundleAdjuster::kMaxPoints_> points;
+  std::array<Point, BundleAdjuster::kMaxBundlePoints> points;
   std::array<Obs, BundleAdjuster::kMaxObservations> obs;
   std::array<Observation, BundleAdjuster::kMaxOutliers> outliers;
   std::array<std::uint16_t, kMaxPoints> point_mark;
