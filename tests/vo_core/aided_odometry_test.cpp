@@ -94,7 +94,7 @@ TEST(AidedOdometry, AnAttitudeThatLiesForASecondIsLeftOut) {
     ASSERT_TRUE(told.valid) << k;
     EXPECT_LT(f.tilt(k / 20.0, told), 3 * std::sqrt(told.covariance.diagonal().tail<3>().sum()));
   }
-  EXPECT_GE(f.odometry_->vertical().gated(), 14u);
+  EXPECT_GE(f.odometry_->vertical().contradictions(), 14u);
   EXPECT_EQ(f.odometry_->begun(), 1u);
 }
 
@@ -137,7 +137,7 @@ TEST(AidedOdometry, ARangefinderThatLiesForASecondIsLeftOut) {
     ASSERT_TRUE(told.valid) << k;
     EXPECT_LT(std::abs(std::log(f.odometry_->scale().scale() / f.scale_)), 3 * told.log_scale_sigma) << k;
   }
-  EXPECT_GE(f.odometry_->scale().count(Source::kRange, ScaleVerdict::kGated), 1u);
+  EXPECT_GE(f.odometry_->scale().count(Source::kRange, ScaleVerdict::kContradicts), 1u);
 }
 
 // Level and straight a barometer says nothing of lengths, and satellites that ended say nothing at all.
@@ -241,7 +241,7 @@ TEST(AidedOdometry, ACorrectedMapMovesThePoseAndIsToldAsThat) {
     }
   }
   ASSERT_TRUE(a.valid && b.valid);
-  EXPECT_EQ(corrected.odometry_->vertical().gated(), 0u);
+  EXPECT_EQ(corrected.odometry_->vertical().contradictions(), 0u);
   EXPECT_NEAR(corrected.odometry_->scale().scale(), plain.odometry_->scale().scale(),
               0.02 * plain.odometry_->scale().scale());
   EXPECT_NEAR(corrected.tilt(499 / 20.0, b), plain.tilt(499 / 20.0, a), 0.002);

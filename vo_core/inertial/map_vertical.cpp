@@ -76,8 +76,8 @@ void MapVertical::hear(const AttitudeReading& r, const Vec3& up, double rate_rad
     // Both the mean and this one are off by what the source is; how the camera sits is common to them.
     const double variance = own + turned * turned + sigma_rad() * sigma_rad();
     const double off = angle_between(up, up_);
-    const bool fits = off * off <= options_.gate2 * variance;
-    if (!fits) ++gated_;
+    const bool fits = off * off <= options_.limit2 * variance;
+    if (!fits) ++contradictions_;
     if (!fits && !known()) {
       forget();  // the first one may have been the wrong one
     } else if (!fits) {

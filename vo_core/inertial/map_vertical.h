@@ -28,7 +28,7 @@ struct MapVerticalOptions {
   /// With fewer readings, over less time, nothing is known.
   std::uint64_t first = 8;
   rt::TimeNs first_ns = 500 * rt::kNsPerMs;
-  double gate2 = 18.4;                     ///< sigmas squared, two degrees of freedom: by chance one in 10,000
+  double limit2 = 18.4;                    ///< sigmas squared, two degrees of freedom: by chance one in 10,000
   double time_sigma_s = 0.02;              ///< when it was measured is known to this: turning, that is an angle
   rt::TimeNs gap_ns = 300 * rt::kNsPerMs;  ///< attitudes between poses further apart are not known
   /// What contradicts for so long is not heard for as long as silent_ns, and nothing is known any more.
@@ -58,7 +58,7 @@ class MapVertical {
   bool heard() const { return heard_ > 0; }  ///< ever, in any map
   /// The source contradicted the map and is not heard now.
   bool distrusted() const { return t_pose_ns_ < t_silent_until_ns_; }
-  std::uint64_t gated() const { return gated_; }
+  std::uint64_t contradictions() const { return contradictions_; }
   std::uint64_t given_up() const { return given_up_; }
 
  private:
@@ -83,7 +83,7 @@ class MapVertical {
   Vec3 up_ = Vec3::Zero();
   double source_variance_ = 0;  ///< mean of the readings'
   double stray_rate_ = 0;
-  std::uint64_t count_ = 0, heard_ = 0, gated_ = 0, given_up_ = 0;
+  std::uint64_t count_ = 0, heard_ = 0, contradictions_ = 0, given_up_ = 0;
   rt::TimeNs t_read_ns_ = 0, t_first_ns_ = 0, t_heard_ns_ = 0, t_pose_ns_ = 0;
   rt::TimeNs t_contradicted_ns_ = 0;  ///< since then each reading did; 0: the last one fitted
   rt::TimeNs t_silent_until_ns_ = 0;
