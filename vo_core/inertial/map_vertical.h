@@ -6,8 +6,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "hal/rt/time.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/inertial/map_correction.h"
 
 namespace godwit::vo {
 
@@ -48,8 +48,9 @@ class MapVertical {
   bool take(const AttitudeReading& reading);
   /// stray_rate: how fast the map's rotation strays there [rad^2/s, an axis].
   void pose(rt::TimeNs t_ns, std::uint32_t map_id, const Mat3& R_map_cam, double stray_rate);
-  /// The map was corrected: turned.
-  void turn_map(const Mat3& turn);
+  /// The map was corrected. Attitudes seen while vision strayed turn by their share of it, those before stay, and the
+  /// mean by what those weigh in it.
+  void correct_map(const MapCorrection& correction);
 
   /// The rest means something.
   bool known() const { return count_ >= options_.first && t_heard_ns_ - t_first_ns_ >= options_.first_ns; }
@@ -66,7 +67,13 @@ class MapVertical {
     rt::TimeNs t_ns = 0;
     Mat3 R_map_cam = Mat3::Identity();
   };
-  static constexpr std::size_t kWaiting = 32, kPlaces = 32;
+  /// What a reading weighs in the mean.
+  struct Heard {
+    rt::TimeNs t_ns = 0;
+    double weight = 0;
+  };
+  /// Of readings as many as a correction reaches back over at 50 a second, and some: an autopilot's fastest.
+  static constexpr std::size_t kWaiting = 32, kPlaces = 32, kHeard = 64;
 
   void forget();
   /// False: the poses around that time are missing.
@@ -80,6 +87,7 @@ class MapVertical {
   std::array<Place, kPlaces> places_;  ///< of the last poses of this map, oldest first
   std::size_t place_count_ = 0;
   std::uint32_t map_id_ = 0;
+  std::array<Heard, kHeard> recent_;  ///< the last of those in the mean, a ring: count_ is behind the newest
   Vec3 up_ = Vec3::Zero();
   double source_variance_ = 0;  ///< mean of the readings'
   double stray_rate_ = 0;
