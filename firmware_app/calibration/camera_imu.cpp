@@ -58,13 +58,16 @@ class Gyroscope {
   const std::vector<hal::ImuSample>& readings_;
 };
 
+using Vector7 = Eigen::Matrix<double, 7, 1>;
+using Matrix7 = Eigen::Matrix<double, 7, 7>;
+
 struct Unknowns {
   Matrix3d R_body_cam = Matrix3d::Identity();
   Vector3d bias = Vector3d::Zero();
   double offset_s = 0;
 
   /// By rotation (on the right), bias, offset.
-  Unknowns plus(const Eigen::Matrix<double, 7, 1>& e) const {
+  Unknowns plus(const Vector7& e) const {
     return {R_body_cam * so3_exp(e.head<3>()), bias + e.segment<3>(3), offset_s + e[6]};
   }
 };
@@ -121,6 +124,42 @@ double second_axis(const std::vector<SeenTurn>& turns) {
   return std::sqrt(Eigen::JacobiSVD<Matrix3d>(power).singularValues()[1]);
 }
 
+/// What a turn says of the unknowns, J^T times what is left of it, and what that is.
+struct Score {
+  Vector7 score;
+  Vector3d left;
+};
+
+/// How many turns on two residuals still err together, by how alike neighbours are: Andrews, Econometrica 1991,
+/// equations 6.2 and 6.4, for a weight that falls linearly.
+std::size_t common_turns(const std::vector<Score>& scores) {
+  double product = 0, square = 0;
+  for (std::size_t i = 0; i < scores.size(); ++i) {
+    square += scores[i].left.squaredNorm();
+    if (i > 0) product += scores[i].left.dot(scores[i - 1].left);
+  }
+  const double alike = std::min(0.95, std::abs(product) / std::max(square, 1e-30)), apart = 1 - alike * alike;
+  const double alpha = 4 * alike * alike / (apart * apart);
+  return 1 + static_cast<std::size_t>(1.1447 * std::cbrt(alpha * static_cast<double>(scores.size())));
+}
+
+/// Covariance of what is fitted. Turns share pictures, and neighbouring pictures map points: they err together, and
+/// more where the camera moves fast, so that as many independent ones would know it better (Newey and West,
+/// Econometrica 1987). A_inverse: that of the normal matrix.
+Matrix7 covariance(const Matrix7& A_inverse, const std::vector<Score>& scores) {
+  const std::size_t common = common_turns(scores);
+  Matrix7 sum = Matrix7::Zero();
+  for (std::size_t i = 0; i < scores.size(); ++i) {
+    for (std::size_t k = 0; k < common && k <= i; ++k) {
+      const double weight = 1 - static_cast<double>(k) / static_cast<double>(common);
+      const Matrix7 product = weight * scores[i].score * scores[i - k].score.transpose();
+      sum += k == 0 ? product : Matrix7(product + product.transpose());
+    }
+  }
+  const auto n = static_cast<double>(3 * scores.size());
+  return n / (n - 7) * A_inverse * sum * A_inverse;
+}
+
 /// One step of Gauss and Newton over those of the turns that count; the fit's figures are those before the step.
 /// Nothing: it is singular.
 bool step(const std::vector<SeenTurn>& turns, const Gyroscope& gyroscope, Unknowns* x, CameraImuFit* fit) {
@@ -136,17 +175,17 @@ bool step(const std::vector<SeenTurn>& turns, const Gyroscope& gyroscope, Unknow
   std::nth_element(sizes.begin(), middle, sizes.end());
   const double most = kOutlier * *middle;
   constexpr double kTurn = 1e-5, kRate = 1e-5, kTime = 1e-4;
-  Eigen::Matrix<double, 7, 7> A = Eigen::Matrix<double, 7, 7>::Zero();
-  Eigen::Matrix<double, 7, 1> b = Eigen::Matrix<double, 7, 1>::Zero();
+  Matrix7 A = Matrix7::Zero();
+  Vector7 b = Vector7::Zero();
   double sum = 0;
-  std::size_t used = 0;
+  std::vector<Score> scores;
   for (std::size_t i = 0; i < turns.size(); ++i) {
     if (there[i] == 0 || left[i].norm() > most) continue;
     Eigen::Matrix<double, 3, 7> J;
     bool whole = true;
     for (int k = 0; k < 7; ++k) {
       const double small = k < 3 ? kTurn : k < 6 ? kRate : kTime;
-      Eigen::Matrix<double, 7, 1> e = Eigen::Matrix<double, 7, 1>::Zero();
+      Vector7 e = Vector7::Zero();
       Vector3d more, less;
       e[k] = small;
       whole =
@@ -155,15 +194,15 @@ bool step(const std::vector<SeenTurn>& turns, const Gyroscope& gyroscope, Unknow
     }
     if (!whole) continue;
     A += J.transpose() * J;
-    b -= J.transpose() * left[i];
+    scores.push_back({J.transpose() * left[i], left[i]});
+    b -= scores.back().score;
     sum += left[i].squaredNorm();
-    ++used;
   }
+  const std::size_t used = scores.size();
   if (used < kLeastTurns) return false;
-  const Eigen::LDLT<Eigen::Matrix<double, 7, 7>> solver(A);
+  const Eigen::LDLT<Matrix7> solver(A);
   if (solver.info() != Eigen::Success || !solver.isPositive()) return false;
-  const double variance = sum / static_cast<double>(3 * used - 7);
-  const Eigen::Matrix<double, 7, 7> C = variance * solver.solve(Eigen::Matrix<double, 7, 7>::Identity());
+  const Matrix7 C = covariance(solver.solve(Matrix7::Identity()), scores);
   fit->turn_sigma_rad = std::sqrt(C.diagonal().head<3>().maxCoeff());
   fit->time_sigma_s = std::sqrt(C(6, 6));
   fit->rms_rad = std::sqrt(sum / static_cast<double>(3 * used));

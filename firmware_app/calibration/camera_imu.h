@@ -22,8 +22,9 @@ struct CameraImuFit {
   Eigen::Matrix3d R_body_cam = Eigen::Matrix3d::Identity();
   double time_offset_s = 0;  ///< a picture stamped t was taken at t + this on the sensor's clock
   Eigen::Vector3d gyro_bias_rad_s = Eigen::Vector3d::Zero();
-  double turn_sigma_rad = 0;  ///< of the rotation's worst axis, one sigma
-  double time_sigma_s = 0;
+  /// One sigma, of the rotation's worst axis and of the offset: neighbouring turns err together, by as much as what is
+  /// left of them shows. 20 rendered flights scattered by 1.3 times these (docs/calibration.md).
+  double turn_sigma_rad = 0, time_sigma_s = 0;
   double rms_rad = 0;              ///< what is left of a turn, an axis
   std::size_t turns = 0;           ///< that count
   std::size_t turns_left_out = 0;  ///< further off than their like, or where readings are missing

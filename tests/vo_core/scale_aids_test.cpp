@@ -152,7 +152,7 @@ TEST(ScaleAids, ANewMapIsAskedAnewAndAMapThatIsCorrectedIsNot) {
   }
   ASSERT_TRUE(g.aids_.state().known());
   EXPECT_LT(g.off(), 3 * g.aids_.state().log_sigma());
-  EXPECT_EQ(g.aids_.state().count(ScaleSource::kSatellites, ScaleVerdict::kGated), 0u);
+  EXPECT_EQ(g.aids_.state().count(ScaleSource::kSatellites, ScaleVerdict::kContradicts), 0u);
 }
 
 // Ways by vision come out a tenth too long, and every 0.8 s a correction takes that back from what was seen since the

@@ -156,7 +156,7 @@ TEST(ScaleState, ASourceThatLiesBesideATrueOneDoesNotCarryTheScaleAway) {
     EXPECT_LT(worst, 3.5) << c.name << ": the sigma told covers it all along";
     // Of two that part slowly nobody can tell which is right.
     EXPECT_LT(std::abs(off(s)), c.source == Source::kSatellites && c.drift > 0 ? 0.5 : 0.15) << c.name;
-    EXPECT_GT(s.count(c.source, Verdict::kGated) + s.count(c.source, Verdict::kDistrusted), 20u) << c.name;
+    EXPECT_GT(s.count(c.source, Verdict::kContradicts) + s.count(c.source, Verdict::kDistrusted), 20u) << c.name;
     EXPECT_EQ(s.given_up(), 0u) << c.name;
   }
 }
@@ -185,7 +185,7 @@ TEST(ScaleState, AFrozenSourceIsFoundOutWhileVisionMoves) {
     stuck.units = f.height() / kScale;
     s.take(stuck);
   }
-  EXPECT_GT(s.count(Source::kRange, Verdict::kFrozen) + s.count(Source::kRange, Verdict::kGated), 100u);
+  EXPECT_GT(s.count(Source::kRange, Verdict::kFrozen) + s.count(Source::kRange, Verdict::kContradicts), 100u);
   EXPECT_LT(std::abs(off(s) - before), 0.1);
 }
 

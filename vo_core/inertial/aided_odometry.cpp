@@ -17,8 +17,9 @@ double square(double x) {
 
 void AidedOdometry::correct_map(const VisualPose& pose) {
   if (!pose.map_moved || pose.map_id != map_id_) return;
-  aids_.correct_map(correction_of(pose, t_last_ns_, last_camera_));
-  vertical_.turn_map(so3_exp(pose.turned_by));
+  const MapCorrection correction = correction_of(pose, t_last_ns_, last_camera_);
+  aids_.correct_map(correction);
+  vertical_.correct_map(correction);
   fit_.shift(pose.moved_by);
   last_camera_ += pose.moved_by;
   correct(pose);

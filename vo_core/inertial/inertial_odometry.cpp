@@ -110,7 +110,7 @@ ScaleHint InertialOdometry::hint() {
   const double off = out.log_scale - own_log_scale;
   const double off2 = off * off / (out.sigma * out.sigma + 1 / own);
   aids_off2_ = aids_speak_ ? off2 : -1;
-  const bool counts = off2 <= options_.aid_gate * options_.aid_gate;
+  const bool counts = off2 <= options_.aid_limit * options_.aid_limit;
   if (!counts) ++aids_contradicted_;
   dispute2_ = counts ? std::max(1.0, off2) : 1;
   return counts ? out : ScaleHint{};

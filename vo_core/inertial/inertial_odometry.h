@@ -18,7 +18,7 @@ struct InertialOdometryOptions {
   InertialModel model;
   ScaleAidsOptions aids;
   Vec3 range_beam = Vec3::UnitZ();  ///< of the rangefinder, along the body's axes, unit length
-  double aid_gate = 4;              ///< what others say of the scale is left out where it is so many sigmas off
+  double aid_limit = 4;             ///< what others say of the scale is left out where it is so many sigmas off
   InertialPrior prior;
   AlignmentMethod method = AlignmentMethod::kWhole;
   rt::TimeNs begin_node_ns = 45 * rt::kNsPerMs;   ///< shortest time between two moments until it is metric

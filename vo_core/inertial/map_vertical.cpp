@@ -20,9 +20,16 @@ void MapVertical::forget() {
   t_contradicted_ns_ = 0;
 }
 
-void MapVertical::turn_map(const Mat3& turn) {
-  up_ = turn * up_;
-  for (std::size_t i = 0; i < place_count_; ++i) places_[i].R_map_cam = turn * places_[i].R_map_cam;
+void MapVertical::correct_map(const MapCorrection& c) {
+  const auto kept = static_cast<std::size_t>(std::min<std::uint64_t>(count_, kHeard));
+  double earlier = 1, moved = 0;
+  for (std::size_t i = 0; i < kept; ++i) {
+    earlier -= recent_[i].weight;
+    moved += recent_[i].weight * c.share(recent_[i].t_ns);
+  }
+  moved += std::max(0.0, earlier) * c.share(t_first_ns_);
+  up_ = so3_exp(moved * c.turned_by) * up_;
+  for (std::size_t i = 0; i < place_count_; ++i) places_[i].R_map_cam = c.turn(places_[i].t_ns) * places_[i].R_map_cam;
 }
 
 bool MapVertical::camera_at(rt::TimeNs t_ns, Mat3* R_map_cam, double* rate_rad_s) const {
@@ -76,8 +83,8 @@ void MapVertical::hear(const AttitudeReading& r, const Vec3& up, double rate_rad
     // Both the mean and this one are off by what the source is; how the camera sits is common to them.
     const double variance = own + turned * turned + sigma_rad() * sigma_rad();
     const double off = angle_between(up, up_);
-    const bool fits = off * off <= options_.gate2 * variance;
-    if (!fits) ++gated_;
+    const bool fits = off * off <= options_.limit2 * variance;
+    if (!fits) ++contradictions_;
     if (!fits && !known()) {
       forget();  // the first one may have been the wrong one
     } else if (!fits) {
@@ -95,6 +102,8 @@ void MapVertical::hear(const AttitudeReading& r, const Vec3& up, double rate_rad
   // A mean of all at first, and then one that forgets.
   const double since_s = rt::to_seconds(r.t_ns - t_heard_ns_) / rt::to_seconds(options_.memory_ns);
   const double share = std::min(1.0, std::max(1.0 / static_cast<double>(count_ + 1), since_s));
+  for (Heard& h : recent_) h.weight *= 1 - share;
+  recent_[count_ % kHeard] = {r.t_ns, share};
   ++count_;
   up_ = (up_ + share * (up - up_)).normalized();
   source_variance_ += share * (own - source_variance_);

@@ -6,8 +6,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "hal/rt/time.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/inertial/map_correction.h"
 
 namespace godwit::vo {
 
@@ -28,7 +28,7 @@ struct MapVerticalOptions {
   /// With fewer readings, over less time, nothing is known.
   std::uint64_t first = 8;
   rt::TimeNs first_ns = 500 * rt::kNsPerMs;
-  double gate2 = 18.4;                     ///< sigmas squared, two degrees of freedom: by chance one in 10,000
+  double limit2 = 18.4;                    ///< sigmas squared, two degrees of freedom: by chance one in 10,000
   double time_sigma_s = 0.02;              ///< when it was measured is known to this: turning, that is an angle
   rt::TimeNs gap_ns = 300 * rt::kNsPerMs;  ///< attitudes between poses further apart are not known
   /// What contradicts for so long is not heard for as long as silent_ns, and nothing is known any more.
@@ -48,8 +48,9 @@ class MapVertical {
   bool take(const AttitudeReading& reading);
   /// stray_rate: how fast the map's rotation strays there [rad^2/s, an axis].
   void pose(rt::TimeNs t_ns, std::uint32_t map_id, const Mat3& R_map_cam, double stray_rate);
-  /// The map was corrected: turned.
-  void turn_map(const Mat3& turn);
+  /// The map was corrected. Attitudes seen while vision strayed turn by their share of it, those before stay, and the
+  /// mean by what those weigh in it.
+  void correct_map(const MapCorrection& correction);
 
   /// The rest means something.
   bool known() const { return count_ >= options_.first && t_heard_ns_ - t_first_ns_ >= options_.first_ns; }
@@ -58,7 +59,7 @@ class MapVertical {
   bool heard() const { return heard_ > 0; }  ///< ever, in any map
   /// The source contradicted the map and is not heard now.
   bool distrusted() const { return t_pose_ns_ < t_silent_until_ns_; }
-  std::uint64_t gated() const { return gated_; }
+  std::uint64_t contradictions() const { return contradictions_; }
   std::uint64_t given_up() const { return given_up_; }
 
  private:
@@ -66,7 +67,13 @@ class MapVertical {
     rt::TimeNs t_ns = 0;
     Mat3 R_map_cam = Mat3::Identity();
   };
-  static constexpr std::size_t kWaiting = 32, kPlaces = 32;
+  /// What a reading weighs in the mean.
+  struct Heard {
+    rt::TimeNs t_ns = 0;
+    double weight = 0;
+  };
+  /// Of readings as many as a correction reaches back over at 50 a second, and some: an autopilot's fastest.
+  static constexpr std::size_t kWaiting = 32, kPlaces = 32, kHeard = 64;
 
   void forget();
   /// False: the poses around that time are missing.
@@ -80,10 +87,11 @@ class MapVertical {
   std::array<Place, kPlaces> places_;  ///< of the last poses of this map, oldest first
   std::size_t place_count_ = 0;
   std::uint32_t map_id_ = 0;
+  std::array<Heard, kHeard> recent_;  ///< the last of those in the mean, a ring: count_ is behind the newest
   Vec3 up_ = Vec3::Zero();
   double source_variance_ = 0;  ///< mean of the readings'
   double stray_rate_ = 0;
-  std::uint64_t count_ = 0, heard_ = 0, gated_ = 0, given_up_ = 0;
+  std::uint64_t count_ = 0, heard_ = 0, contradictions_ = 0, given_up_ = 0;
   rt::TimeNs t_read_ns_ = 0, t_first_ns_ = 0, t_heard_ns_ = 0, t_pose_ns_ = 0;
   rt::TimeNs t_contradicted_ns_ = 0;  ///< since then each reading did; 0: the last one fitted
   rt::TimeNs t_silent_until_ns_ = 0;

@@ -25,7 +25,7 @@ void ScaleState::new_map() {
   x_[0] = 0;
   for (std::size_t i = 0; i < kStates; ++i) P_[0][i] = P_[i][0] = 0;
   P_[0][0] = kAnyScale * kAnyScale;
-  for (Source& s : sources_) s.equal = s.gated = 0, s.information = 0;
+  for (Source& s : sources_) s.equal = s.contradictions = 0, s.information = 0;
   dispute2_ = 0;
 }
 
@@ -82,14 +82,14 @@ ScaleVerdict ScaleState::judge(const ScaleReading& r, Source* source) {
   const double residual = std::log(r.metres / r.units) - x_[0] - x_[b];
   // Nothing is known to its last digit.
   const double variance = P_[0][0] + 2 * P_[0][b] + P_[b][b] + noise + 1e-6;
-  if (!(residual * residual <= options_.gate2 * variance)) {
+  if (!(residual * residual <= options_.limit2 * variance)) {
     if (others_heard(scale_source_index(r.source)) == 1) dispute2_ = std::max(dispute2_, residual * residual);
     if (silent) return ScaleVerdict::kDistrusted;
-    ++source->gated;
-    return ScaleVerdict::kGated;
+    ++source->contradictions;
+    return ScaleVerdict::kContradicts;
   }
   if (silent) return ScaleVerdict::kDistrusted;
-  source->gated = 0;
+  source->contradictions = 0;
   std::array<double, kStates> PH{};
   for (std::size_t i = 0; i < kStates; ++i) PH[i] = P_[i][0] + P_[i][b];
   source->information += std::log(P_[0][0] / std::max(1e-12, P_[0][0] - PH[0] * PH[0] / variance));
@@ -106,8 +106,8 @@ ScaleVerdict ScaleState::take(const ScaleReading& r) {
   Source& source = sources_[i];
   const ScaleVerdict verdict = judge(r, &source);
   ++source.counts[static_cast<std::size_t>(verdict)];
-  if (verdict != ScaleVerdict::kGated || source.gated < options_.distrusted) return verdict;
-  source.gated = 0;
+  if (verdict != ScaleVerdict::kContradicts || source.contradictions < options_.distrusted) return verdict;
+  source.contradictions = 0;
   if (others_heard(i) > 0) {
     source.silent_until_ns = r.t_ns + options_.silent_ns;
   } else {

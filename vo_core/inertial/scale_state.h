@@ -38,26 +38,26 @@ struct ScaleOptions {
   double scale_walk = 1e-3;   ///< of the map's scale [1/sqrt(s)]
   double known_sigma = 0.15;  ///< of the logarithm: below this there is a scale
   double most_sigma = 0.5;    ///< a reading surer than this at least says something: others are too short
-  double gate2 = 11;          ///< sigmas squared, one degree of freedom: by chance one in 1,000
+  double limit2 = 11;         ///< sigmas squared, one degree of freedom: by chance one in 1,000
   int frozen = 25;            ///< so many equal readings in a row while vision's length changed by 3 of its sigmas
-  int distrusted = 20;        ///< so many outside the gate in a row
+  int distrusted = 20;        ///< so many beyond that limit in a row
   rt::TimeNs silent_ns = 30 * rt::kNsPerSecond;  ///< a source that is distrusted is not heard for so long
 };
 
 /// What became of a reading.
 enum class ScaleVerdict : std::uint8_t {
   kUsed,
-  kNoNumber,    ///< not finite, negative sigmas, or a time before the last one
-  kTooShort,    ///< a length of which too little is known
-  kGated,       ///< it contradicts what is known
-  kFrozen,      ///< the source repeats itself while vision moves
-  kDistrusted,  ///< it was gated too often and is not heard for a while
+  kNoNumber,     ///< not finite, negative sigmas, or a time before the last one
+  kTooShort,     ///< a length of which too little is known
+  kContradicts,  ///< it contradicts what is known
+  kFrozen,       ///< the source repeats itself while vision moves
+  kDistrusted,   ///< it contradicted too often and is not heard for a while
 };
 
 /// One state, the logarithm of the metres in a map unit, and with each source what it is off by as a whole: a scale is
 /// never surer than its sources are as wholes. Where two contradict each other nobody can tell who is right: then by
-/// how much they do is in the sigma. Where two agree against a third, that one is wrong. Extended Kalman filter with
-/// gates. Plain value; no allocation; time is an argument.
+/// how much they do is in the sigma. Where two agree against a third, that one is wrong. Extended Kalman filter that
+/// leaves out what contradicts. Plain value; no allocation; time is an argument.
 class ScaleState {
  public:
   explicit ScaleState(const ScaleOptions& options = {});
@@ -81,7 +81,7 @@ class ScaleState {
   static constexpr std::size_t kStates = 1 + kScaleSources;
   struct Source {
     double last_metres = 0, units_then = 0;
-    int equal = 0, gated = 0;
+    int equal = 0, contradictions = 0;
     rt::TimeNs silent_until_ns = 0, t_used_ns = 0;
     double information = 0;
     std::array<std::uint64_t, 6> counts{};
