@@ -43,7 +43,8 @@ bool Mapper::step() {
   hunger_ = std::clamp(1.0 - static_cast<double>(m->tracked_features) / options_.starving_features, 0.0, 1.0);
   // Where movers cover much of the picture, they are about to cover what carries the pose now.
   const double covered = m->mask.covered();
-  if (covered > options_.crowded) hunger_ = std::max(hunger_, covered);
+  crowded_ = covered > options_.crowded;
+  if (crowded_) hunger_ = std::max(hunger_, covered);
   sigma_limit_ = options_.converged_sigma + hunger_ * (options_.starving_sigma - options_.converged_sigma);
   report_ = {};
   report_.kind = m->kind;

@@ -144,9 +144,9 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   const bool hungry = hunger_ > options_.hungry;
   const bool good_enough = hungry && seed->matches >= 3 && shift_px < options_.hungry_shift_px;
   // The filter takes long to rule out that matches are chance. Where several, one after the other, are of one depth,
-  // they are not.
+  // they are not; between movers there is no time to wait.
   seed->agreed.add(1.0 / r.depth, tau2);
-  const bool agreed = hungry && !good_enough && seed->agreed.matches() >= options_.agreeing_matches &&
+  const bool agreed = crowded_ && hungry && !good_enough && seed->agreed.matches() >= options_.agreeing_matches &&
                       seed->agreed.relative_sigma() < options_.starving_sigma;
   if (good_enough || agreed || e.relative_sigma() < sigma_limit_) {
     // No room in this delta: the seed waits for the next one.
