@@ -29,14 +29,14 @@ struct MapperOptions {
   double hungry = 0.5;              ///< hunger above which a seed needs little more than a place in the picture:
   double hungry_shift_px = 2.0;     ///< by how much its depth's sigma may move it
   /// Hungry in a crowd: so many matches in a row that agree on the depth are enough. With three in place of four the
-  /// severe walkers are kept 1.5 to 2 % of the frames longer, mean of nine flights, with half the error; with two one of
-  /// four was bent.
+  /// severe walkers are kept 1.5 to 2 % of the frames longer, mean of nine flights, with half the error; with two one
+  /// of four was bent.
   int agreeing_matches = 3;
-  double match_sigma_px = 0.6;      ///< noise of an epipolar match
-  int seed_keyframes = 4;           ///< older keyframes that new seeds are searched in at once
-  int observation_keyframes = 8;    ///< keyframes in which a new point is looked for
-  int max_keyframes = 56;           ///< above: the least useful keyframe is forgotten
-  int spare_points = 600;           ///< with less room: the farthest is, for a full map would take in nothing new
+  double match_sigma_px = 0.6;    ///< noise of an epipolar match
+  int seed_keyframes = 4;         ///< older keyframes that new seeds are searched in at once
+  int observation_keyframes = 8;  ///< keyframes in which a new point is looked for
+  int max_keyframes = 56;         ///< above: the least useful keyframe is forgotten
+  int spare_points = 600;         ///< with less room: the farthest is, for a full map would take in nothing new
   BundleAdjusterOptions bundle;
   RollingShutter shutter;
 };
