@@ -1,6 +1,7 @@
 // Tracker and mapper together on rendered pictures with exact truth: a small sweep, in any order of its pictures.
 #pragma once
 
+#include <algorithm>
 #include <cstring>
 #include <functional>
 #include <gtest/gtest.h>
@@ -71,6 +72,9 @@ inline void light_by_lamps(int frame, std::uint8_t* grey) {
   }
 }
 
+/// In an order: a picture of the sweep in a mirror, which is another world.
+constexpr int kMirrored = 3000;
+
 /// In an order: a picture of nothing that the map knows, each time another one.
 constexpr int kElsewhere = -2;
 inline void draw_elsewhere(std::size_t seed, std::uint8_t* grey) {
@@ -128,7 +132,10 @@ inline Flown run_odometry(const std::vector<int>& order, const rt::MaskPyramidVi
       break;
     }
     std::uint8_t* data = memory[static_cast<std::size_t>(slot)].get();
-    if (order[i] >= kLamps) {
+    if (order[i] >= kMirrored) {
+      std::memcpy(data, pictures()[static_cast<std::size_t>(order[i] - kMirrored)].view().data, base);
+      for (int y = 0; y < 240; ++y) std::reverse(data + y * 320, data + (y + 1) * 320);
+    } else if (order[i] >= kLamps) {
       std::memcpy(data, pictures()[static_cast<std::size_t>(order[i] - kLamps)].view().data, base);
       light_by_lamps(order[i], data);
     } else if (order[i] >= kTurned) {

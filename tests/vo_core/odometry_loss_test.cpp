@@ -12,6 +12,7 @@ namespace odometry_loss_test {
 using test::Flown;
 using test::forward;
 using test::kElsewhere;
+using test::kMirrored;
 using test::kTurned;
 using test::kTurnFrames;
 using test::run_odometry;
@@ -116,11 +117,43 @@ TEST(OdometryLoss, AfterTooLongWithoutAPoseANewMapBegins) {
   std::vector<int> order = forward(30);
   // Another view altogether.
   for (int i = 0; i < TrackerOptions{}.health.give_up_ns / 33'333'333 + 4; ++i) order.push_back(kElsewhere);
-  for (int i = 0; i < 30; ++i) order.push_back(i);
+  for (int i = 0; i < 30; ++i) order.push_back(kMirrored + i);
   const Flown run = run_odometry(order);
   ASSERT_TRUE(run.frames[29].tracked);
   ASSERT_TRUE(run.frames.back().tracked);
   EXPECT_EQ(run.frames.back().map_id, run.frames[29].map_id + 1);
+}
+
+// The map is given up after as long as it was flown in; but nothing has taken its place.
+TEST(OdometryLoss, AMapThatWasGivenUpGoesOnIfItIsFoundBeforeAnotherBegins) {
+  std::vector<int> order = forward(25);
+  order.insert(order.end(), 40, kElsewhere);
+  for (int i = 20; i < 30; ++i) order.push_back(i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[24].tracked);
+  ASSERT_EQ(run.frames[64].state, State::kLost);
+  EXPECT_EQ(run.frames[64].map_id, 0U);
+  EXPECT_TRUE(run.frames.back().tracked) << run.frames.back().reason;
+  EXPECT_EQ(run.frames.back().map_id, run.frames[24].map_id);
+  EXPECT_EQ(run.allocations, 0U);
+}
+
+// What another map begins with is gathered while the old one is searched for, not after that.
+TEST(OdometryLoss, AnotherMapBeginsAsSoonAsTheOldOneIsGivenUp) {
+  std::vector<int> order = forward(25);
+  for (int i = 0; i < 30; ++i) order.push_back(kMirrored + i);
+  const Flown run = run_odometry(order);
+  ASSERT_TRUE(run.frames[24].tracked);
+  std::size_t given_up = 25, begun = 25;
+  while (given_up < order.size() && run.frames[given_up].state == State::kRelocalising) ++given_up;
+  while (begun < order.size() && !run.frames[begun].tracked) ++begun;
+  ASSERT_LT(given_up, order.size());
+  ASSERT_EQ(run.frames[given_up].state, State::kLost);
+  ASSERT_LT(begun, order.size());
+  EXPECT_LE(begun, given_up + 2) << "in every second frame it is tried";
+  EXPECT_EQ(run.frames[begun].map_id, run.frames[24].map_id + 1);
+  for (std::size_t i = begun; i < order.size(); ++i) EXPECT_TRUE(run.frames[i].tracked) << i;
+  EXPECT_EQ(run.allocations, 0U);
 }
 
 TEST(OdometryLoss, AViewFarFromTheLastOneIsFoundByItsKeyframeAndConfirmed) {

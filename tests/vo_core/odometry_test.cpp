@@ -94,7 +94,7 @@ TEST(Odometry, AFlightBesideASlowMapperIsFlownAgainToTheBit) {
   for (int i = 0; i < 5; ++i) order.push_back(-1);
   for (int i = 49; i > 5; --i) order.push_back(i);
   for (int i = 0; i < 160; ++i) order.push_back(test::kElsewhere);  // until the map is given up
-  for (int i = 0; i < 60; ++i) order.push_back(i);
+  for (int i = 0; i < 60; ++i) order.push_back(test::kMirrored + i);
   Pace beside;
   beside.delay_frames = 0;
   beside.late = mask_of_a_corner();

@@ -5,11 +5,10 @@
 namespace godwit::vo {
 
 State Health::step(const FrameEvidence& e) {
-  give_up_ = false;
   if (e.kind != FrameEvidence::Kind::kSamePicture) t_new_picture_ns_ = e.t_capture_ns;
   switch (e.kind) {
     case FrameEvidence::Kind::kNoMap:
-      // INITIALISING or LOST: stays so. The caller knows best what the initialisation lacks.
+      // Stays INITIALISING. The caller knows best what the initialisation lacks.
       reason_ = {"no map yet", e.measurements, options_.min_measurements};
       break;
     case FrameEvidence::Kind::kFirstMap:
@@ -59,15 +58,14 @@ void Health::without_pose(const FrameEvidence& e, const Reason& why) {
   t_last_ns_ = std::max(t_last_ns_, e.t_capture_ns);
   without_pose_ns_ = std::max(without_pose_ns_, e.t_capture_ns - t_first_without_ns_);
   reason_ = why;
+  // Until the map is found again after all, or another has taken its place.
+  if (state_ == State::kLost) return;
   const rt::TimeNs most_ns = e.expected ? options_.give_up_expected_ns : options_.give_up_ns;
   const rt::TimeNs give_up_ns = std::min(most_ns, std::max(flown_ns_, options_.coast_ns));
   if (searched_ns_ >= give_up_ns) {
     state_ = State::kLost;
-    reason_ = {"not found in the map for too long, a new one begins [ms]",
+    reason_ = {"not found in the map for too long, another may begin [ms]",
                static_cast<int>(searched_ns_ / rt::kNsPerMs), static_cast<int>(give_up_ns / rt::kNsPerMs)};
-    give_up_ = true;
-    counting_ = false;
-    without_pose_ns_ = searched_ns_ = 0;
   } else if (e.inertial_pose && (state_ == State::kTracking || state_ == State::kCoasting) &&
              without_pose_ns_ <= options_.coast_ns) {
     state_ = State::kCoasting;

@@ -22,20 +22,21 @@ struct HealthOptions {
   /// A picture may be repeated for so long, as recorders and drivers do, before the camera is taken for a frozen one:
   /// until then the next new picture is followed as if nothing had been (TrackerOptions::direct_gap_ns).
   rt::TimeNs frozen_ns = 150 * rt::kNsPerMs;
-  /// The old map is searched for so long in pictures that show anything, then a new one begins; shorter where every
-  /// picture was searched from where the camera should be: what is not found there in 30 pictures is out of view.
+  /// The old map is searched for so long in pictures that show anything, then a new one may take its place; shorter
+  /// where every picture was searched from where the camera should be: what is not found there in 30 pictures is out of
+  /// view.
   rt::TimeNs give_up_ns = 5 * rt::kNsPerSecond;
   rt::TimeNs give_up_expected_ns = rt::kNsPerSecond;
   // And in any case no longer than the map has been flown in, though as long as is coasted: who has to choose between
   // going on waiting and paying for what waiting would have saved loses at most twice the least by waiting for just as
-  // long as that is worth (the ski rental problem, Karlin et al., Algorithmica 1988). A map of half a second is made
-  // again in half a second.
+  // long as that is worth (the ski rental problem, Karlin et al., Algorithmica 1988). What beginning another map takes
+  // is no part of it: that goes on beside the search, and LOST ends with whichever comes first.
 };
 
 /// What one frame has shown.
 struct FrameEvidence {
   enum class Kind : std::uint8_t {
-    kNoMap,        ///< there was no map and this frame did not begin one
+    kNoMap,        ///< there has never been a map, and this frame did not begin one
     kFirstMap,     ///< this frame began a map
     kPose,         ///< the picture gave a pose that was proved
     kUnproved,     ///< found in the map again, and not yet confirmed by another frame
@@ -62,8 +63,6 @@ class Health {
 
   State state() const { return state_; }
   const Reason& reason() const { return reason_; }
-  /// True in the one step in which the map was given up: the caller drops it and begins another.
-  bool give_up() const { return give_up_; }
   /// Time since the first frame without a pose from its picture; 0 while tracking.
   rt::TimeNs without_pose_ns() const { return without_pose_ns_; }
 
@@ -73,7 +72,6 @@ class Health {
   HealthOptions options_;
   State state_ = State::kInitialising;
   Reason reason_;
-  bool give_up_ = false;
   rt::TimeNs t_new_picture_ns_ = 0;  ///< capture time of the last picture that was a new one
   bool counting_ = false;            ///< since t_first_without_ns_ no picture gave a pose
   rt::TimeNs t_first_without_ns_ = 0;

@@ -96,6 +96,7 @@ struct Initializer::Impl {
     report.tracks = tracks.start(frame, mask, options.features, 2 * options.min_tracks);
     next_parallax_px = 0;
     next_frame = 0;
+    refused = InitStatus::kNoParallax;
     started = report.tracks >= options.min_tracks;
     report.status = started ? status : InitStatus::kTooFewFeatures;
     return report;
@@ -367,7 +368,7 @@ void Initializer::reset() {
   impl_->point_count = 0;
 }
 
-InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask) {
+InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide) {
   Impl& m = *impl_;
   m.point_count = 0;
   if (!m.started) return m.start(frame, mask, InitStatus::kFirstFrame);
@@ -382,11 +383,11 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
     report.status = InitStatus::kNoMotion;
   } else if (report.parallax_px < m.options.min_parallax_px || m.tracks.frames() < m.options.min_views) {
     report.status = InitStatus::kNoParallax;
-  } else if (report.parallax_px < m.next_parallax_px && m.tracks.frames() < m.next_frame) {
+  } else if (!decide || (report.parallax_px < m.next_parallax_px && m.tracks.frames() < m.next_frame)) {
     report.status = m.refused;
   } else {
     m.decide(&report);
-    m.refused = report.status;
+    if (report.status != InitStatus::kDone) m.refused = report.status;
     m.postpone(report);
   }
   return report;

@@ -81,11 +81,11 @@ class Initializer {
   /// Forgets the first view.
   void reset();
 
-  /// Feeds the next frame. The pyramid of the FIRST view must stay readable until reset() or until a status says that
-  /// the present frame became the first view: the caller holds that frame's slot.
-  /// Tracks that enter a masked pixel are dropped. On kDone, T_cur_ref() and points() hold the first map, scaled so
-  /// that the median depth in the first view is 1.
-  InitReport add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask);
+  /// Feeds the next frame; unless `decide`, its tracks are followed and nothing is tried. The pyramid of the FIRST view
+  /// must stay readable until reset() or until a status says that the present frame became the first view: the caller
+  /// holds that frame's slot. Tracks that enter a masked pixel are dropped. On kDone, T_cur_ref() and points() hold the
+  /// first map, scaled so that the median depth in the first view is 1.
+  InitReport add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide = true);
 
   /// Valid after kDone until the next call.
   const SE3& T_cur_ref() const;

@@ -185,24 +185,37 @@ FrameResult Tracker::track(const FrameInput& in) {
     evidence.kind = FrameEvidence::Kind::kSamePicture;
     result.repeated = true;
     retire(&frame);
-  } else if (health_.state() == State::kInitialising || health_.state() == State::kLost) {
-    evidence.kind = initialise(in, frame, &result) ? FrameEvidence::Kind::kFirstMap : FrameEvidence::Kind::kNoMap;
+  } else if (!have_map()) {
+    evidence.kind = initialise(in, frame, true, &result) ? FrameEvidence::Kind::kFirstMap : FrameEvidence::Kind::kNoMap;
     result.times.initialise = now() - t0;
   } else {
-    evidence.kind = locate(in, &frame, &result);
+    // Given up, the map is searched for in every second frame only, and in the others it is tried to begin another.
+    const bool searched = health_.state() != State::kLost || unproved_ > 0 || frame_counter_ % 2 == 0;
+    evidence.kind = searched ? locate(in, &frame, &result) : FrameEvidence::Kind::kNoPose;
     evidence.expected = frame.expected.known;
     if (evidence.kind == FrameEvidence::Kind::kNoPose) {
       evidence.shows_nothing = shows_nothing(frame.pyramid);
-      retire(&frame);
+      // What is not found at once may be gone: another map begins beside the search for this one.
+      t0 = now();
+      if (in.t_capture_ns - seen_.t_capture_ns <= options_.direct_gap_ns) {
+        retire(&frame);
+      } else if (initialise(in, frame, health_.state() == State::kLost && !searched, &result)) {
+        evidence.kind = FrameEvidence::Kind::kFirstMap;
+      }
+      result.times.initialise = now() - t0;
     } else {
+      if (evidence.kind == FrameEvidence::Kind::kPose) forget_first_view();
       take_pose(evidence.kind, &frame, &result);
     }
   }
   evidence.measurements = result.measurements;
   evidence.refusal = refusal_;
+  const State before = health_.state();
   result.state = health_.step(evidence);
   // An initialisation that failed has told why itself.
-  if (evidence.kind != FrameEvidence::Kind::kNoMap) {
+  const bool told = evidence.kind == FrameEvidence::Kind::kNoMap ||
+                    (evidence.kind == FrameEvidence::Kind::kNoPose && before == State::kLost);
+  if (!told) {
     const Reason& reason = health_.reason();
     result.reason = reason.text;
     result.reason_value = reason.value;
@@ -213,7 +226,6 @@ FrameResult Tracker::track(const FrameInput& in) {
     result.reason_value = result.shaded;
     result.reason_limit = result.matches;
   }
-  if (health_.give_up()) begin_map();
   result.map_id = result.state == State::kInitialising || result.state == State::kLost ? 0 : map_id_;
   result.order = order_;
   expected_ = order_ = {};

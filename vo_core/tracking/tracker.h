@@ -188,10 +188,14 @@ class Tracker {
   };
 
   void begin_map();
+  void drop_map();
+  void forget_first_view();
+  bool have_map() const { return last_keyframe_id_ != 0; }
   void apply_deltas(FrameResult* result);
   void apply(const MapDelta& d);
-  /// True: this frame began the map.
-  bool initialise(const FrameInput& in, const Frame& frame, FrameResult* result);
+  /// Takes the frame. True: it began a map, in the place of the one that was searched for too long, if there was one.
+  /// Unless it `may_begin`, tracks are followed for a later frame.
+  bool initialise(const FrameInput& in, const Frame& frame, bool may_begin, FrameResult* result);
   FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
   bool align_with_keyframe(const RelocalisationGuess& guess, Frame* frame);
@@ -210,6 +214,7 @@ class Tracker {
   void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
   bool same_picture(const rt::ImageView& grey);
   void consider_keyframe(Frame* frame, FrameResult* result);
+  bool send_reset();
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
   int insert_keyframe(const Frame& frame, std::uint32_t id);
   void free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const;
@@ -280,7 +285,7 @@ class Tracker {
   std::array<PoseMeasurement, kMaxFrameFeatures> measurements_;
   std::array<AlignPoint, kMaxFrameFeatures> align_points_;
 
-  std::uint32_t last_keyframe_id_ = 0;
+  std::uint32_t last_keyframe_id_ = 0;  ///< 0: there is no map
   int frames_since_keyframe_ = 0;
   int last_keyframe_features_ = 0;
   CoarseMask keyframe_mask_;  ///< dynamic pixels of the last keyframe

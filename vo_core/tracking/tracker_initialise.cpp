@@ -1,4 +1,4 @@
-// The tracker without a map: from the first view to the first two keyframes.
+// The tracker without a map, or beside one that it does not find: from the first view to the first two keyframes.
 #include <algorithm>
 
 #include "vo_core/features/match_noise.h"
@@ -10,23 +10,14 @@ namespace {
 constexpr float kMaxTrackErrorPx = 2.0f;
 }  // namespace
 
-bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* result) {
-  if (reset_pending_) {
-    MapperMessage* m = room() > 0 ? channel_->messages.claim() : nullptr;
-    if (!m) {
-      result->reason = "mapper is still busy with the last map";
-      Frame f = frame;
-      retire(&f);
-      return false;
-    }
-    m->kind = MessageKind::kReset;
-    m->epoch = epoch_;
-    m->sequence = frame_counter_;
-    m->slot = -1;
-    commit_message();
-    reset_pending_ = false;
+bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begin, FrameResult* result) {
+  if (reset_pending_ && !have_map() && !send_reset()) {
+    result->reason = "mapper is still busy with the last map";
+    Frame f = frame;
+    retire(&f);
+    return false;
   }
-  result->init = initializer_.add_frame(frame.pyramid, in.mask);
+  result->init = initializer_.add_frame(frame.pyramid, in.mask, may_begin);
   Frame current = frame;
   switch (result->init.status) {
     case InitStatus::kFirstFrame:
@@ -78,12 +69,16 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
     return false;
   }
 
-  // Both keyframes must find room, or neither is sent.
-  if (room() < 2) {
+  // The order to forget the old map and both keyframes must find room, or nothing is sent.
+  if (room() < (have_map() ? 3 : 2)) {
     retire(&current);
-    begin_map();
+    if (!have_map()) begin_map();
     result->reason = "mapper is still busy with the last map";
     return false;
+  }
+  if (have_map()) {
+    drop_map();
+    send_reset();
   }
   // Two keyframes and their common points. World frame: the first view's camera.
   const std::span<const InitPoint> points = initializer_.points();
@@ -136,10 +131,11 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, FrameResult* 
   frames_since_keyframe_ = 0;
   last_keyframe_features_ = n;
   keyframe_mask_.assign(current.mask);
-  retire(&first_);
+  forget_first_view();
   last_ = current;
   gathered_ = options_.most_evidence;
   last_.mask = {};
+  seen_ = {current.T_cam_world, current.t_capture_ns, true};
   have_velocity_ = interval_s > 0.0;
   ++map_id_;
   result->tracked = n >= options_.health.min_measurements;

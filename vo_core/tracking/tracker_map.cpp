@@ -24,14 +24,22 @@ void Tracker::retire(Frame* frame) {
 }
 
 void Tracker::begin_map() {
+  forget_first_view();
+  drop_map();
+}
+
+void Tracker::forget_first_view() {
   retire(&first_);
+  initializer_.reset();
+}
+
+void Tracker::drop_map() {
   retire(&last_);
   releases_.add_all(*map_);
   map_->clear();
   landmarks_->forget();
   certainty_.clear();
   noise_.reset();
-  initializer_.reset();
   ++epoch_;
   next_keyframe_id_ = 1;
   last_keyframe_id_ = 0;
@@ -154,6 +162,18 @@ bool Tracker::late_mask(rt::TimeNs t_capture_ns, const rt::MaskPyramidView& mask
     if (kf.id == last_keyframe_id_) keyframe_mask_.add(mask);
     return true;
   }
+  return true;
+}
+
+bool Tracker::send_reset() {
+  MapperMessage* m = room() > 0 ? channel_->messages.claim() : nullptr;
+  if (!m) return false;
+  m->kind = MessageKind::kReset;
+  m->epoch = epoch_;
+  m->sequence = frame_counter_;
+  m->slot = -1;
+  commit_message();
+  reset_pending_ = false;
   return true;
 }
 
