@@ -136,7 +136,7 @@ TEST_P(DeliveredModel, OpensWithItsMetadata) {
 INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel,
                          ::testing::Values(Input{"cbam_yolov5n_416", 416, 416}, Input{"cbam_yolov5n_320", 320, 320},
                                            Input{"cbam_yolov5n_480x352", 480, 352}, Input{"yolox_nano_416", 416, 416},
-                                           Input{"yolox_nano_320", 320, 320}),
+                                           Input{"yolox_nano_320", 320, 320}, Input{"cbam_yolox_nano_416", 416, 416}),
                          [](const auto& input) { return std::string(input.param.model); });
 
 // One set of weights in two inputs: what a picture of a camera shows is in the same places.

@@ -352,6 +352,12 @@ class Export(InFolder):
             self.assertTrue(all(torch.equal(first[k], v) for k, v in net.state_dict().items()))
             self.assertLess(self.worst(net, file, side, side, 12), 1e-3)
 
+    def test_the_delivered_file_with_attention_says_the_same(self):
+        file = MODELS / 'cbam_yolox_nano_416.onnx'
+        net = weights.load_exported(str(file))
+        self.assertEqual((net.name(), net.layout), ('cbam_yolox_nano', 'yolox'))
+        self.assertLess(self.worst(net, file, 416, 416, 12), 1e-3)
+
     def test_the_delivered_files_are_what_was_published(self):
         shared = pathlib.Path(os.environ.get('GODWIT_SHARED_DIR', '')) / 'data' / 'detection'
         if not shared.is_dir():

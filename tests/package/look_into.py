@@ -38,6 +38,7 @@ CONTENT = {
         '/usr/share/godwit/models/cbam_yolov5n_320.onnx', '/usr/share/godwit/models/cbam_yolov5n_320.toml',
         '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml',
         '/usr/share/godwit/models/cbam_yolov5n_480x352.onnx', '/usr/share/godwit/models/cbam_yolov5n_480x352.toml',
+        '/usr/share/godwit/models/cbam_yolox_nano_416.onnx', '/usr/share/godwit/models/cbam_yolox_nano_416.toml',
         '/usr/share/godwit/models/yolox_nano_320.onnx', '/usr/share/godwit/models/yolox_nano_320.toml',
         '/usr/share/godwit/models/yolox_nano_416.onnx', '/usr/share/godwit/models/yolox_nano_416.toml',
         '/usr/share/godwit/models/LICENSE', '/usr/share/godwit/models/LICENSE-YOLOX'],
