@@ -91,7 +91,8 @@ set(CPACK_DEBIAN_MODELS_PACKAGE_SECTION misc)
 set(CPACK_DEBIAN_MODELS_PACKAGE_PRIORITY optional)
 set(CPACK_DEBIAN_MODELS_DESCRIPTION "networks by which godwit finds what may move
 Three CBAM-YOLOv5 networks in ONNX, of 320 x 320, 416 x 416 and 480 x 352
-pixels. Their licence is another one than that of the programs.")
+pixels, under another licence than the programs, and three YOLOX-Nano networks,
+one of 320 x 320 and two of 416 x 416 pixels, under theirs.")
 
 set(CPACK_DEBIAN_TOOLS_PACKAGE_NAME godwit-tools)
 set(CPACK_DEBIAN_TOOLS_PACKAGE_ARCHITECTURE all)

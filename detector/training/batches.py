@@ -22,13 +22,14 @@ class Recipe:
     batch: int
     window: int
     view: int
+    permissive: bool = False
 
 
 def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[View]:
     """COCO comes first: the teacher sees it too."""
     rng = np.random.default_rng((recipe.seed, step))
     views = []
-    for source, count in data.sources_of_step(step, recipe.batch, "simulated" in pictures):
+    for source, count in data.sources_of_step(step, recipe.batch, "simulated" in pictures, recipe.permissive):
         pool = pictures[source]
         for _ in range(count):
             if rng.random() < MOSAIC_SHARE:

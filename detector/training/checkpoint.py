@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-FORMAT = 2
+FORMAT = 3
 
 
 class OtherRun(ValueError):

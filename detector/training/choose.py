@@ -10,7 +10,7 @@ import torch
 import data
 from augment import letterbox
 from data import Picture
-from model import CbamYolov5
+from model import PathAggregation
 from network import to_picture
 from scoring import score_set
 
@@ -24,24 +24,24 @@ LEAST_SPREAD = 0.05
 class TorchNetwork:
     """A network in PyTorch where evaluate.py takes a file."""
 
-    def __init__(self, net: CbamYolov5, width: int, height: int, device: torch.device):
+    def __init__(self, net: PathAggregation, width: int, height: int, device: torch.device):
         self.net, self.width, self.height, self.device = net, width, height, device
 
     @torch.no_grad()
     def detect(self, image: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
         view, scale, left, top = letterbox(image, self.width, self.height)
         x = torch.from_numpy(view).to(self.device).permute(2, 0, 1)[None].float() / 255
-        y = self.net(x)[0].cpu().numpy()
+        y = self.net.boxes(x)[0].cpu().numpy()
         scores = y[:, 4:5] * y[:, 5:]
         sure = scores.max(1) > threshold
         return to_picture(y[sure, :4], scale, left, top, image.shape), scores[sure]
 
 
-def pictures_that_choose(root: Path) -> dict[str, list[Picture]]:
-    return {s: data.load(root, s, "choose") for s in data.SETS}
+def pictures_that_choose(root: Path, permissive: bool = False) -> dict[str, list[Picture]]:
+    return {s: data.load(root, s, "choose", permissive=permissive) for s in data.sets_of(permissive)}
 
 
-def figures(net: CbamYolov5, pictures: dict[str, list[Picture]], view: int, device: torch.device) -> dict[str, float]:
+def figures(net: PathAggregation, pictures: dict[str, list[Picture]], view: int, device: torch.device) -> dict[str, float]:
     """AP50 of people and of vehicles in each set that has them. `net` must be in evaluation mode."""
     network = TorchNetwork(net, view, view, device)
     out = {}
@@ -57,7 +57,7 @@ def figures(net: CbamYolov5, pictures: dict[str, list[Picture]], view: int, devi
 
 
 @torch.no_grad()
-def gate_spreads(net: CbamYolov5, pictures: dict[str, list[Picture]], device: torch.device) -> dict[str, float]:
+def gate_spreads(net: PathAggregation, pictures: dict[str, list[Picture]], device: torch.device) -> dict[str, float]:
     """How much each gate follows what it sees. Channel gates: the standard deviation of each channel's over the pictures,
     averaged over the channels; spatial ones: of all places of all pictures. The pictures fill the input, so that no
     letterbox's border counts. Empty without CBAM. `net` must be in evaluation mode."""

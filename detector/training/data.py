@@ -43,6 +43,12 @@ SHARES = {"coco": 4, "visdrone": 2, "vehicles": 2}
 SHARES_WITH_SIMULATED = {"coco": 3, "visdrone": 2, "vehicles": 1, "simulated": 2}
 VEHICLE_TURNS = ("aerial_cars", "aerial_cars", "cats_topdown")
 SETS = ("coco", "cats_topdown", "aerial_cars", "visdrone")
+# What a network may learn from whose licence nothing but names its sources, by how the pictures' names begin: of aerial_cars
+# DLR/KIT's (CC BY 3.0), not DJI's (CC BY-SA); of COCO all (annotations CC BY 4.0, pictures of Flickr: YOLOX-Nano, the start,
+# has learnt from them already). CATS states no licence, VisDrone is for academic use.
+PERMISSIVE = {"coco": ("",), "aerial_cars": ("MOS", "MunichStreet")}
+SHARES_PERMISSIVE = {"coco": 6, "aerial_cars": 2}
+SHARES_PERMISSIVE_WITH_SIMULATED = {"coco": 4, "aerial_cars": 2, "simulated": 2}
 
 
 @dataclass
@@ -75,11 +81,18 @@ def _to_pixels(rows: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.concatenate((centre - half, centre + half), 1) * np.array([width, height] * 2, np.float32)
 
 
-def sources_of_step(step: int, batch: int, simulated: bool = False) -> list[tuple[str, int]]:
+def sets_of(permissive: bool) -> tuple[str, ...]:
+    return tuple(PERMISSIVE) if permissive else SETS
+
+
+def sources_of_step(step: int, batch: int, simulated: bool = False, permissive: bool = False) -> list[tuple[str, int]]:
     """The sets that a step draws from, COCO first, with how many views each gives."""
-    shares = SHARES_WITH_SIMULATED if simulated else SHARES
+    if permissive:
+        shares = SHARES_PERMISSIVE_WITH_SIMULATED if simulated else SHARES_PERMISSIVE
+    else:
+        shares = SHARES_WITH_SIMULATED if simulated else SHARES
     if batch < 1 or any(batch * share % 8 for share in shares.values()):
-        raise ValueError(f"a batch of {batch} views cannot be shared out; it must be a multiple of {8 if simulated else 4}")
+        raise ValueError(f"a batch of {batch} views cannot be shared out; it must be a multiple of {8 if simulated and not permissive else 4}")
     turn = VEHICLE_TURNS[step % len(VEHICLE_TURNS)]
     return [(turn if source == "vehicles" else source, batch * share // 8) for source, share in shares.items()]
 
@@ -92,9 +105,9 @@ def edge_strips(width: int, height: int) -> np.ndarray:
                      [width - dx, 0, width, height]], np.float32)
 
 
-def load(root: Path, source: str, part: str, longest_side: int = 1280) -> list[Picture]:
+def load(root: Path, source: str, part: str, longest_side: int = 1280, permissive: bool = False) -> list[Picture]:
     """Reads one part (split.PARTS) of a set; pictures larger than `longest_side` are reduced, boxes with them. `root` is the
-    folder of all sets; of simulated pictures their own."""
+    folder of all sets; of simulated pictures their own. `permissive`: only what PERMISSIVE names."""
     folder, below, mapping = {
         "coco": ("coco256", "val2017" if part == "held_out" else "train2017", _COCO),
         "cats_topdown": ("cats_topdown", "", _CATS),
@@ -104,6 +117,8 @@ def load(root: Path, source: str, part: str, longest_side: int = 1280) -> list[P
     }[source]
     pictures = []
     for stem in split.names(root, source, part):
+        if permissive and not stem.startswith(PERMISSIVE[source]):
+            continue
         path = root / folder / "images" / below / f"{stem}.jpg"
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:

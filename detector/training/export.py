@@ -3,9 +3,11 @@
 
   export.py --checkpoint RUN/checkpoint.pt --out DIR [--input 416 320 480x352]
   export.py --weights MODEL.onnx --out DIR --input 480x352
+  export.py --yolox DATA/models/yolox_nano_416.onnx --out DIR [--input 416 320]
 
 From a run: the weights that its choosing pictures liked best, or with --newest the newest average. --weights: those of a file
-that this program wrote, for another input.
+that this program wrote, for another input. --yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes
+and made for the input that godwit gives (red, green, blue of 0 to 1), without CBAM.
 """
 from __future__ import annotations
 
@@ -22,9 +24,11 @@ import torch
 
 import checkpoint
 import choose
-from model import CbamYolov5
+import families
+from model import PathAggregation
 from names import CLASSES
-from weights import load_exported
+from weights import load_exported, load_yolox
+from yolox import CbamYolox
 
 
 def parse_input(text: str) -> tuple[int, int]:
@@ -39,8 +43,9 @@ def input_name(width: int, height: int) -> str:
     return str(width) if width == height else f"{width}x{height}"
 
 
-def export_onnx(net: CbamYolov5, width: int, height: int, path: Path) -> None:
-    """`net` must be fused and in evaluation mode. Input 1x3xHEIGHTxWIDTH RGB 0..1; output 1xNx(5 + classes)."""
+def export_onnx(net: PathAggregation, width: int, height: int, path: Path) -> None:
+    """`net` must be fused and in evaluation mode. Input 1x3xHEIGHTxWIDTH RGB 0..1; output 1xNx(5 + classes) in
+    the net's layout (detector/model_info.h)."""
     # Newer versions write another graph unless told not to.
     old_way = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
     torch.onnx.export(net, torch.zeros(1, 3, height, width), str(path), opset_version=12, input_names=["images"],
@@ -68,11 +73,11 @@ def _copy_shared(path: Path) -> None:
     onnx.save(model, str(path))
 
 
-def write_metadata(model: Path, width: int, height: int) -> None:
+def write_metadata(model: Path, width: int, height: int, layout: str = "yolov5") -> None:
     """The TOML file that detector/model_info.h reads, beside the model."""
     quoted = ", ".join(f'"{c}"' for c in CLASSES)
     model.with_suffix(".toml").write_text(f"""# Written by detector/training/export.py beside the model of the same name.
-layout = "yolov5"
+layout = "{layout}"
 input_width = {width}
 input_height = {height}
 channel_order = "rgb"
@@ -93,26 +98,22 @@ def reference_picture(width: int, height: int) -> np.ndarray:
 
 
 @torch.no_grad()
-def write_reference(net: CbamYolov5, width: int, height: int, path: Path, every: int = 37) -> None:
+def write_reference(net: PathAggregation, width: int, height: int, path: Path, every: int = 37) -> None:
     """What PyTorch says to reference_picture: rows, values a row, stride (int32), then every `every`th row (float32)."""
     y = net(torch.from_numpy(reference_picture(width, height)))[0].numpy()
     path.write_bytes(struct.pack("<3i", y.shape[0], y.shape[1], every) + y[::every].astype("<f4").tobytes())
 
 
-def network_of_run(path: Path, newest: bool) -> tuple[CbamYolov5, str, dict]:
+def network_of_run(path: Path, newest: bool) -> tuple[PathAggregation, str, dict]:
     """The network of a run, in evaluation mode; what to say of it; the spread of its gates as measured in training."""
     held = checkpoint.load(path)
     best = held["best"]
     if not newest and best is None:
         raise ValueError(f"{path}: nothing was chosen yet; --newest takes the newest")
-    net = CbamYolov5(held["size"], attention=held["attention"])
+    net = families.make(held["family"], held["size"], held["attention"])
     net.load_state_dict(held["average"] if newest else best["average"])
     step = held["step"] if newest else best["step"]
     return net.eval(), f"step {step} of {held['options']['steps']}", {} if newest else best["gates"]
-
-
-def name_of(net: CbamYolov5) -> str:
-    return ("cbam_" if net.cbam else "") + ("yolov5n" if net.model[0].conv.out_channels == 16 else "yolov5s")
 
 
 def main() -> None:
@@ -120,6 +121,7 @@ def main() -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--checkpoint", type=Path, help="checkpoint.pt of train.py")
     source.add_argument("--weights", type=Path, help="a file that this program wrote")
+    source.add_argument("--yolox", type=Path, help="the published file of YOLOX-Nano")
     parser.add_argument("--newest", action="store_true", help="of --checkpoint: not what was chosen but the newest average")
     parser.add_argument("--out", required=True, type=Path, help="folder for NAME_INPUT.onnx and NAME_INPUT.toml")
     parser.add_argument("--reference", type=Path, help="folder for NAME_INPUT.reference, PyTorch's output for the tests")
@@ -129,6 +131,10 @@ def main() -> None:
     args = parser.parse_args()
     if args.checkpoint:
         net, what, gates = network_of_run(args.checkpoint, args.newest)
+    elif args.yolox:
+        net, what, gates = CbamYolox(attention=False), "as published", {}
+        load_yolox(net, str(args.yolox))
+        net.eval()
     else:
         net, what, gates = load_exported(str(args.weights)), f"weights of {args.weights.name}", {}
     if args.data:
@@ -137,12 +143,12 @@ def main() -> None:
     if args.reference:  # from the network as it was trained, before anything is folded
         args.reference.mkdir(parents=True, exist_ok=True)
         for width, height in args.input:
-            write_reference(net, width, height, args.reference / f"{name_of(net)}_{input_name(width, height)}.reference")
+            write_reference(net, width, height, args.reference / f"{net.name()}_{input_name(width, height)}.reference")
     net.fuse()
     for width, height in args.input:
-        path = args.out / f"{name_of(net)}_{input_name(width, height)}.onnx"
+        path = args.out / f"{net.name()}_{input_name(width, height)}.onnx"
         export_onnx(net, width, height, path)
-        write_metadata(path, width, height)
+        write_metadata(path, width, height, net.layout)
         print(f"{path}: {path.stat().st_size} bytes, {what}")
     if net.cbam:
         print(choose.told(gates) if gates else "spread of the gates: not measured, give --data")

@@ -46,9 +46,9 @@ SIZES = {"n": Size(0.25, 1 / 3), "s": Size(0.5, 1 / 3)}
 class ConvBnAct(nn.Module):
     """Convolution, batch norm, SiLU. `fuse()` folds the norm into the convolution for export."""
 
-    def __init__(self, c_in: int, c_out: int, k: int = 1, s: int = 1, p: int | None = None):
+    def __init__(self, c_in: int, c_out: int, k: int = 1, s: int = 1, p: int | None = None, groups: int = 1):
         super().__init__()
-        self.conv = nn.Conv2d(c_in, c_out, k, s, k // 2 if p is None else p, bias=False)
+        self.conv = nn.Conv2d(c_in, c_out, k, s, k // 2 if p is None else p, groups=groups, bias=False)
         self.bn: nn.BatchNorm2d | None = nn.BatchNorm2d(c_out, eps=1e-3, momentum=0.03)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -63,16 +63,24 @@ class ConvBnAct(nn.Module):
             return
         scale = self.bn.weight / torch.sqrt(self.bn.running_var + self.bn.eps)
         fused = nn.Conv2d(self.conv.in_channels, self.conv.out_channels, self.conv.kernel_size, self.conv.stride,
-                          self.conv.padding, bias=True)
+                          self.conv.padding, groups=self.conv.groups, bias=True)
         fused.weight.copy_(self.conv.weight * scale[:, None, None, None])
         fused.bias.copy_(self.bn.bias - self.bn.running_mean * scale)
         self.conv, self.bn = fused, None
 
 
+class DepthwiseConv(nn.Sequential):
+    """A 3x3 convolution of each channel by itself, then a 1x1 across them (YOLOX-Nano in place of every 3x3)."""
+
+    def __init__(self, c_in: int, c_out: int, s: int = 1):
+        super().__init__(ConvBnAct(c_in, c_in, 3, s, groups=c_in), ConvBnAct(c_in, c_out))
+
+
 class Bottleneck(nn.Module):
-    def __init__(self, c: int, shortcut: bool):
+    def __init__(self, c: int, shortcut: bool, depthwise: bool = False):
         super().__init__()
-        self.cv1, self.cv2, self.shortcut = ConvBnAct(c, c, 1), ConvBnAct(c, c, 3), shortcut
+        self.cv1, self.shortcut = ConvBnAct(c, c, 1), shortcut
+        self.cv2 = DepthwiseConv(c, c) if depthwise else ConvBnAct(c, c, 3)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         y = self.cv2(self.cv1(x))
@@ -82,12 +90,12 @@ class Bottleneck(nn.Module):
 class CspStage(nn.Module):
     """Cross-stage partial stage with three 1x1 convolutions (YOLOv5's C3)."""
 
-    def __init__(self, c_in: int, c_out: int, n: int, shortcut: bool = True):
+    def __init__(self, c_in: int, c_out: int, n: int, shortcut: bool = True, depthwise: bool = False):
         super().__init__()
         half = c_out // 2
         self.cv1, self.cv2 = ConvBnAct(c_in, half), ConvBnAct(c_in, half)
         self.cv3 = ConvBnAct(2 * half, c_out)
-        self.m = nn.Sequential(*(Bottleneck(half, shortcut) for _ in range(n)))
+        self.m = nn.Sequential(*(Bottleneck(half, shortcut, depthwise) for _ in range(n)))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return self.cv3(torch.cat((self.m(self.cv1(x)), self.cv2(x)), 1))
@@ -189,29 +197,17 @@ def decode_level(raw: torch.Tensor, level: int) -> torch.Tensor:
     return torch.cat((xy, wh, p[..., 4:]), -1)
 
 
-class CbamYolov5(nn.Module):
-    def __init__(self, size: str = "n", classes: int = len(CLASSES), attention: bool = True):
+class PathAggregation(nn.Module):
+    """A network by YOLOv5's numbers: `model` holds layers 0 to 24, the last of them the heads, `cbam` the attention.
+
+    raw() gives what training reads, forward() what is exported and boxes() rows of centre and size in input pixels,
+    objectness and classes after the sigmoid.
+    """
+
+    def __init__(self, layers: list[nn.Module], attention: dict[int, int]):
         super().__init__()
-        s = SIZES[size]
-        c = s.channels
-        c64, c128, c256, c512, c1024 = (c(v) for v in (64, 128, 256, 512, 1024))
-        layers: list[nn.Module] = [
-            ConvBnAct(3, c64, 6, 2, 2), ConvBnAct(c64, c128, 3, 2), CspStage(c128, c128, s.repeats(3)),
-            ConvBnAct(c128, c256, 3, 2), CspStage(c256, c256, s.repeats(6)),
-            ConvBnAct(c256, c512, 3, 2), CspStage(c512, c512, s.repeats(9)),
-            ConvBnAct(c512, c1024, 3, 2), CspStage(c1024, c1024, s.repeats(3)), Sppf(c1024, c1024),
-            ConvBnAct(c1024, c512), nn.Identity(), nn.Identity(), CspStage(c1024, c512, s.repeats(3), False),
-            ConvBnAct(c512, c256), nn.Identity(), nn.Identity(), CspStage(c512, c256, s.repeats(3), False),
-            ConvBnAct(c256, c256, 3, 2), nn.Identity(), CspStage(c512, c512, s.repeats(3), False),
-            ConvBnAct(c512, c512, 3, 2), nn.Identity(), CspStage(c1024, c1024, s.repeats(3), False),
-            Heads(classes, (c256, c512, c1024)),
-        ]
         self.model = nn.ModuleList(layers)
-        self.cbam = nn.ModuleDict({str(i): Cbam(c(w)) for i, w in ATTENTION_AFTER.items()} if attention else {})
-        prior = math.log(8 / (640 / 32) ** 2)  # about eight objects a picture before anything is learnt
-        with torch.no_grad():
-            for conv in self.model[24].m:
-                conv.bias.view(3, -1)[:, 4] += prior
+        self.cbam = nn.ModuleDict({str(i): Cbam(c) for i, c in attention.items()})
 
     def _attend(self, i: int, x: torch.Tensor) -> torch.Tensor:
         return self.cbam[str(i)](x) if str(i) in self.cbam else x
@@ -235,8 +231,39 @@ class CbamYolov5(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return self.model[24](self.features(x))
 
-    def fuse(self) -> "CbamYolov5":
+    def boxes(self, x: torch.Tensor) -> torch.Tensor:
+        return self.forward(x)
+
+    def fuse(self) -> "PathAggregation":
         for module in self.modules():
             if isinstance(module, ConvBnAct):
                 module.fuse()
         return self
+
+
+class CbamYolov5(PathAggregation):
+    layout = "yolov5"
+
+    def __init__(self, size: str = "n", classes: int = len(CLASSES), attention: bool = True):
+        s = SIZES[size]
+        c = s.channels
+        c64, c128, c256, c512, c1024 = (c(v) for v in (64, 128, 256, 512, 1024))
+        layers: list[nn.Module] = [
+            ConvBnAct(3, c64, 6, 2, 2), ConvBnAct(c64, c128, 3, 2), CspStage(c128, c128, s.repeats(3)),
+            ConvBnAct(c128, c256, 3, 2), CspStage(c256, c256, s.repeats(6)),
+            ConvBnAct(c256, c512, 3, 2), CspStage(c512, c512, s.repeats(9)),
+            ConvBnAct(c512, c1024, 3, 2), CspStage(c1024, c1024, s.repeats(3)), Sppf(c1024, c1024),
+            ConvBnAct(c1024, c512), nn.Identity(), nn.Identity(), CspStage(c1024, c512, s.repeats(3), False),
+            ConvBnAct(c512, c256), nn.Identity(), nn.Identity(), CspStage(c512, c256, s.repeats(3), False),
+            ConvBnAct(c256, c256, 3, 2), nn.Identity(), CspStage(c512, c512, s.repeats(3), False),
+            ConvBnAct(c512, c512, 3, 2), nn.Identity(), CspStage(c1024, c1024, s.repeats(3), False),
+            Heads(classes, (c256, c512, c1024)),
+        ]
+        super().__init__(layers, {i: c(w) for i, w in ATTENTION_AFTER.items()} if attention else {})
+        prior = math.log(8 / (640 / 32) ** 2)  # about eight objects a picture before anything is learnt
+        with torch.no_grad():
+            for conv in self.model[24].m:
+                conv.bias.view(3, -1)[:, 4] += prior
+
+    def name(self) -> str:
+        return ("cbam_" if self.cbam else "") + ("yolov5n" if self.model[0].conv.out_channels == 16 else "yolov5s")

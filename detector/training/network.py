@@ -33,7 +33,8 @@ def cells_of(width: int, height: int) -> int:
 
 @dataclass
 class Network:
-    """A model file of either layout, with 6 or 80 classes. Its input's size is what the metadata beside it says."""
+    """A model file of either layout, with 6 or 80 classes. Its input is what the metadata beside it says; without any, what
+    YOLOv5 and YOLOX are published for, told apart by the rows of the output."""
 
     path: Path
     tiled: bool = False
@@ -41,6 +42,7 @@ class Network:
     def __post_init__(self) -> None:
         self.net = cv2.dnn.readNetFromONNX(str(self.path))
         beside = self.path.with_suffix(".toml")
+        told = None
         if beside.exists():
             told = tomllib.loads(beside.read_text())
             sizes = ((told["input_width"], told["input_height"]),)
@@ -53,6 +55,12 @@ class Network:
         if values not in (11, 85):
             raise ValueError(f"{self.path}: output of {rows} x {values} is neither YOLOv5 nor YOLOX of 6 or 80 classes")
         self.yolox = rows == cells_of(self.width, self.height)
+        if told and self.yolox != (told["layout"] == "yolox"):
+            raise ValueError(f"{self.path}: output of {rows} rows is not of the layout that {beside.name} says, {told['layout']}")
+        self.blue_first, self.centred, self.scale = self.yolox, not self.yolox, 1 if self.yolox else 1 / 255
+        if told:
+            self.blue_first, self.centred = told["channel_order"] == "bgr", told["letterbox"] == "centre"
+            self.scale = told["scale"]
         self.columns = [5 + i for i in (range(len(CLASSES)) if values == 11 else COCO_INDEX)]
 
     def _forward(self, blob: np.ndarray) -> np.ndarray:
@@ -67,9 +75,9 @@ class Network:
         return rows in (cells_of(width, height), 3 * cells_of(width, height))
 
     def blob(self, image: np.ndarray) -> tuple[np.ndarray, float, int, int]:
-        canvas, scale, left, top = letterbox(image, self.width, self.height, centred=not self.yolox)
-        planes = canvas.transpose(2, 0, 1)[None].astype(np.float32)
-        return (np.ascontiguousarray(planes[:, ::-1]) if self.yolox else planes / 255), scale, left, top
+        canvas, scale, left, top = letterbox(image, self.width, self.height, centred=self.centred)
+        planes = canvas.transpose(2, 0, 1)[None].astype(np.float32) * np.float32(self.scale)
+        return np.ascontiguousarray(planes[:, ::-1] if self.blue_first else planes), scale, left, top
 
     def detect(self, image: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
         """Boxes x0 y0 x1 y1 in picture pixels and n x 6 scores; nothing suppressed yet."""

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Trains CBAM-YOLOv5 on the sets of one data folder. Stops and goes on: run the same command again.
+"""Trains CBAM-YOLOv5 or CBAM-YOLOX on the sets of one data folder. Stops and goes on: run the same command again.
 
 Every step draws its views from a generator seeded by (seed, step), so a run that was cut off and continued sees what an
 unbroken one sees, and on the processor ends with the same weights to the bit. What the pictures that choose (split.py) like
@@ -23,12 +23,11 @@ import batches
 import checkpoint
 import choose
 import data
+import families
 import render
 from data import Picture
-from loss import detection_loss
-from model import CbamYolov5
+from model import PathAggregation
 from network import Network
-from weights import load_coco
 
 PEOPLE_UNLABELLED = ("aerial_cars", "cats_topdown")
 # CBAM is new where all else was learnt on COCO: it learns at ten times the rate, or its gates stay where they began.
@@ -49,7 +48,7 @@ def find_unlabelled_people(model: Path, pictures: list[Picture], threshold: floa
     return found
 
 
-def parameter_groups(net: CbamYolov5, frozen: int, lr: float, scratch: bool) -> list[dict]:
+def parameter_groups(net: PathAggregation, frozen: int, lr: float, scratch: bool) -> list[dict]:
     """Heads learn at the full rate, the neck at a half, the backbone at a fifth, the first stages not; from scratch all of
     them at the full rate. Attention at ten times that, and its weights are not drawn to zero."""
     groups: dict[float, list[torch.nn.Parameter]] = {ATTENTION_RATE: [], 1.0: [], 0.5: [], 0.2: []}
@@ -69,11 +68,11 @@ def parameter_groups(net: CbamYolov5, frozen: int, lr: float, scratch: bool) -> 
 class Average:
     """Exponential moving average of every number of the network; the average is what is scored and exported."""
 
-    def __init__(self, net: CbamYolov5, decay: float = 0.997):
+    def __init__(self, net: PathAggregation, decay: float = 0.997):
         self.decay, self.state = decay, {k: v.detach().clone() for k, v in net.state_dict().items()}
 
     @torch.no_grad()
-    def update(self, net: CbamYolov5, step: int) -> None:
+    def update(self, net: PathAggregation, step: int) -> None:
         decay = min(self.decay, (1 + step) / (10 + step))
         for k, v in net.state_dict().items():
             if v.dtype.is_floating_point:
@@ -90,12 +89,12 @@ def learning_rate(step: int, steps: int, lr: float, warmup: int = 20) -> float:
 
 def load_pictures(args: argparse.Namespace) -> dict[str, list[Picture]]:
     root = Path(args.data)
-    pictures = {s: data.load(root, s, "train") for s in data.SETS}
+    pictures = {s: data.load(root, s, "train", permissive=args.permissive) for s in data.sets_of(args.permissive)}
     if args.simulated:
         render.check_to_train_on(Path(args.simulated))
         pictures["simulated"] = data.load(Path(args.simulated), "simulated", "train")
     if args.people != "none":
-        for source in PEOPLE_UNLABELLED:
+        for source in (s for s in PEOPLE_UNLABELLED if s in pictures):
             found = find_unlabelled_people(root / "models" / args.people, pictures[source])
             print(f"{source}: {found} unlabelled people", flush=True)
     for source, of in pictures.items():
@@ -110,12 +109,11 @@ class Run:
     def __init__(self, args: argparse.Namespace):
         self.args, self.device = args, torch.device(args.device)
         self.scratch = args.start == "scratch"
-        self.net, self.teacher = CbamYolov5(args.size, attention=not args.no_attention), None
+        self.net, self.teacher = self._make(not args.no_attention), None
         if not self.scratch:
-            arrays = str(Path(args.data) / "models" / f"yolov5{args.size}_coco_state.npz")
-            load_coco(self.net, arrays)
-            self.teacher = CbamYolov5(args.size, attention=False)
-            load_coco(self.teacher, arrays)
+            families.start(self.net, args.family, args.size, Path(args.data))
+            self.teacher = self._make(False)
+            families.start(self.teacher, args.family, args.size, Path(args.data))
             self.teacher.eval().fuse().to(self.device)
         self.net.to(self.device)
         # From COCO the norms keep its statistics; from scratch there are none yet.
@@ -125,9 +123,12 @@ class Run:
         self.average = Average(self.net)
         self.step, self.best, self.sums = 0, None, {}
 
+    def _make(self, attention: bool) -> PathAggregation:
+        return families.make(self.args.family, self.args.size, attention)
+
     def state(self) -> dict:
         return {"step": self.step, "net": self.net.state_dict(), "average": self.average.state, "best": self.best,
-                "sums": self.sums, "optimiser": self.optimiser.state_dict(), "size": self.args.size,
+                "sums": self.sums, "optimiser": self.optimiser.state_dict(), "family": self.args.family, "size": self.args.size,
                 "attention": not self.args.no_attention}
 
     def take(self, held: dict) -> None:
@@ -145,7 +146,7 @@ class Run:
         if self.teacher is not None:
             with torch.no_grad():
                 taught = self.teacher.raw(images[:coco])
-        loss, parts = detection_loss(self.net.raw(images), targets.to(self.device), ignore, taught, coco)
+        loss, parts = families.LOSSES[self.args.family](self.net.raw(images), targets.to(self.device), ignore, taught, coco)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_([p for g in self.groups for p in g["params"]], 10.0)
@@ -162,7 +163,7 @@ class Run:
 
     def score(self, pictures: dict[str, list[Picture]]) -> None:
         """Keeps the average if the pictures that choose find none better so far."""
-        net = CbamYolov5(self.args.size, attention=not self.args.no_attention)
+        net = self._make(not self.args.no_attention)
         net.load_state_dict(self.average.state)
         net.to(self.device).eval()
         figures = choose.figures(net, pictures, self.args.view, self.device)
@@ -187,7 +188,7 @@ def train(args: argparse.Namespace) -> int:
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
     pictures = load_pictures(args)
-    choosing = choose.pictures_that_choose(Path(args.data))
+    choosing = choose.pictures_that_choose(Path(args.data), args.permissive)
     options = identity(args) | {"pictures_sha256": data.digest(pictures)}
     run, path = Run(args), out / "checkpoint.pt"
     if path.exists():
@@ -199,8 +200,8 @@ def train(args: argparse.Namespace) -> int:
     stop: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: stop.append(n))
-    recipe = batches.Recipe(args.seed, args.batch, args.window, args.view)
-    coco = data.sources_of_step(0, args.batch, bool(args.simulated))[0][1]
+    recipe = batches.Recipe(args.seed, args.batch, args.window, args.view, args.permissive)
+    coco = data.sources_of_step(0, args.batch, bool(args.simulated), args.permissive)[0][1]
     first, began = run.step, time.monotonic()
     last_saved = began
     for tensors in batches.steps(pictures, recipe, first, args.steps, args.workers):
@@ -227,7 +228,9 @@ def make_parser() -> argparse.ArgumentParser:
                         help="from the COCO arrays, which also teach on COCO pictures, or from nothing")
     parser.add_argument("--people", default="yolox_nano_416.onnx",
                         help="file in DATA/models that finds the people whom the sets of vehicles do not label; none: nobody is")
-    parser.add_argument("--size", choices=("n", "s"), default="n")
+    parser.add_argument("--family", choices=tuple(families.SIZES), default="yolov5")
+    parser.add_argument("--size", help="n or s of yolov5, nano of yolox; not given: n and nano")
+    parser.add_argument("--permissive", action="store_true", help="only pictures whose licences allow any use (data.PERMISSIVE)")
     parser.add_argument("--no-attention", action="store_true", help="the same network without CBAM")
     parser.add_argument("--view", type=int, default=416, help="input size that objects are scaled for")
     parser.add_argument("--window", type=int, default=416, help="side of the window on that view that one step sees")
@@ -249,8 +252,12 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     args = parser.parse_args(words)
     if args.window % 32 or args.view % 32 or args.steps < 1 or args.choose_every < 1:
         parser.error("--window and --view must be multiples of 32, --steps and --choose-every at least 1")
+    sizes = families.SIZES[args.family]
+    args.size = args.size or sizes[0]
+    if args.size not in sizes:
+        parser.error(f"--size: {args.family} has {' and '.join(sizes)}")
     try:
-        data.sources_of_step(0, args.batch, bool(args.simulated))
+        data.sources_of_step(0, args.batch, bool(args.simulated), args.permissive)
     except ValueError as e:
         parser.error(f"--batch: {e}")
     return args

@@ -343,17 +343,19 @@ TEST(Godwitd, WithPrivilegesItDoesNotWarn) {
 }
 
 TEST(Godwitd, FindsPeopleInFlightAndSaysSo) {
-  const test::TempFolder folder;
-  Daemon daemon(write_config(folder,
-                             "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\nscenarios = "
-                             "\"" GODWIT_SCENARIO_DIR "\"\npictures = 2\n[detector]\nbackend = \"cuda\"\n"));
-  ASSERT_TRUE(daemon.says("armed")) << daemon.all();
-  EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
-  ASSERT_TRUE(daemon.says("detections come")) << daemon.all();
-  rt::TimeNs took = 0;
-  EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
-  EXPECT_THAT(daemon.all(), testing::ContainsRegex("detector: [1-9][0-9]* detections, 0 failed, "));
-  EXPECT_THAT(daemon.all(), HasSubstr("thread detector: "));
+  for (const char* model : {"", GODWIT_MODEL_DIR "/yolox_nano_416.onnx"}) {
+    const test::TempFolder folder;
+    const std::string sim = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = \"";
+    const std::string network = "\"\n[detector]\nbackend = \"cuda\"\nmodel = \"";
+    Daemon daemon(write_config(folder, sim + GODWIT_SCENARIO_DIR + network + model + "\"\n"));
+    ASSERT_TRUE(daemon.says("armed")) << daemon.all();
+    EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
+    ASSERT_TRUE(daemon.says("detections come")) << daemon.all();
+    rt::TimeNs took = 0;
+    EXPECT_EQ(daemon.end(SIGTERM, &took), 0);
+    EXPECT_THAT(daemon.all(), testing::ContainsRegex("detector: [1-9][0-9]* detections, 0 failed, "));
+    EXPECT_THAT(daemon.all(), HasSubstr("thread detector: "));
+  }
 }
 
 TEST(Godwitd, WithoutTheNetworkItFliesAsToldAndDoesNotSpeakOfIt) {

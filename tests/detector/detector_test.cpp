@@ -61,18 +61,18 @@ cv::Mat reference_input(int width, int height) {
 }
 
 struct Input {
-  const char* name;
+  const char* model;
   int width, height;
 };
 std::ostream& operator<<(std::ostream& out, const Input& input) {
-  return out << input.name;
+  return out << input.model;
 }
 class DeliveredModel : public ::testing::TestWithParam<Input> {};
 
 // The reference comes from PyTorch (detector/training/export.py), before the export to ONNX.
 TEST_P(DeliveredModel, AgreesWithPyTorch) {
   const Input& input = GetParam();
-  const std::string name = std::string("cbam_yolov5n_") + input.name;
+  const std::string name = input.model;
   const std::string reference = read(kData + "/" + name + ".reference");
   ASSERT_GE(reference.size(), 12U) << "reference is missing";
   std::int32_t header[3];  // rows in all, values a row, every how many rows is kept
@@ -101,7 +101,7 @@ TEST_P(DeliveredModel, AgreesWithPyTorch) {
 }
 
 TEST_P(DeliveredModel, OpensWithItsMetadata) {
-  const std::string path = kModels + "/cbam_yolov5n_" + GetParam().name + ".onnx";
+  const std::string path = kModels + "/" + GetParam().model + ".onnx";
   EXPECT_LT(fs::file_size(path), 8'000'000U);
   auto opened = Detector::open(path, {});
   ASSERT_TRUE(opened.ok()) << opened.error().message;
@@ -134,8 +134,10 @@ TEST_P(DeliveredModel, OpensWithItsMetadata) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel,
-                         ::testing::Values(Input{"416", 416, 416}, Input{"320", 320, 320}, Input{"480x352", 480, 352}),
-                         [](const auto& input) { return std::string(input.param.name); });
+                         ::testing::Values(Input{"cbam_yolov5n_416", 416, 416}, Input{"cbam_yolov5n_320", 320, 320},
+                                           Input{"cbam_yolov5n_480x352", 480, 352}, Input{"yolox_nano_416", 416, 416},
+                                           Input{"yolox_nano_320", 320, 320}, Input{"cbam_yolox_nano_416", 416, 416}),
+                         [](const auto& input) { return std::string(input.param.model); });
 
 // One set of weights in two inputs: what a picture of a camera shows is in the same places.
 TEST_F(DetectorTest, ARectangularInputFindsTheSameAsASquareOne) {
@@ -169,6 +171,59 @@ TEST_F(DetectorTest, ARectangularInputFindsTheSameAsASquareOne) {
   }
   ASSERT_GE(sure, 20);
   EXPECT_GE(same * 10, sure * 9) << same << " of " << sure;
+}
+
+// Two networks that have nothing in common but the pictures: were boxes of one read wrongly, they would not meet.
+TEST_F(DetectorTest, TheNetworkWithoutAnchorsFindsThePeopleOfTheOther) {
+  const char* shared = std::getenv("GODWIT_SHARED_DIR");
+  const std::string root = std::string(shared != nullptr ? shared : "") + "/data/detection/coco256/images/val2017";
+  if (shared == nullptr || !fs::exists(root)) {
+    ASSERT_STRNE(std::getenv("CI") != nullptr ? std::getenv("CI") : "", "true") << "shared data is missing";
+    GTEST_SKIP() << "GODWIT_SHARED_DIR has no detection pictures";
+  }
+  auto with_anchors = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
+  auto without = Detector::open(kModels + "/yolox_nano_416.onnx", {});
+  ASSERT_TRUE(with_anchors.ok() && without.ok());
+  EXPECT_EQ(with_anchors.value().info().layout, Layout::kYolov5);
+  EXPECT_EQ(without.value().info().layout, Layout::kYolox);
+  EXPECT_EQ(with_anchors.value().info().classes, without.value().info().classes);
+  std::vector<fs::path> pictures;
+  for (const auto& entry : fs::directory_iterator(root)) pictures.push_back(entry.path());
+  std::sort(pictures.begin(), pictures.end());
+  int sure = 0, same = 0;
+  for (const fs::path& path : pictures) {
+    const cv::Mat image = cv::imread(path.string());
+    if (sure >= 25) break;
+    const PictureView view{image.data, image.cols, image.rows, static_cast<int>(image.step[0]), 3};
+    BoxList a, b;
+    ASSERT_TRUE(with_anchors.value().detect(view, &a).ok());
+    ASSERT_TRUE(without.value().detect(view, &b).ok());
+    for (const Box& box : a.view()) {
+      if (box.score < 0.8F || box.class_id != 0) continue;
+      ++sure;
+      same += std::any_of(b.view().begin(), b.view().end(),
+                          [&](const Box& other) { return other.class_id == 0 && overlap(other, box) > 0.7F; });
+    }
+  }
+  ASSERT_GE(sure, 20);
+  EXPECT_GE(same * 10, sure * 9) << same << " of " << sure;
+}
+
+// The metadata of one network beside the file of another, its checksum made to fit: told apart by the output's rows.
+TEST_F(DetectorTest, ACardOfAnotherKindOfNetworkIsRefused) {
+  const auto beside = [&](const std::string& model, const std::string& card) {
+    const std::string path = write("own.onnx", read(kModels + "/" + model + ".onnx"));
+    std::string text = read(kModels + "/" + card + ".toml");
+    write("own.toml",
+          text.replace(text.find("sha256"), std::string::npos, "sha256 = \"" + sha256_of_file(path).value() + "\"\n"));
+    return why(Detector::open(path, {}));
+  };
+  const std::string own = (dir_ / "own.onnx").string() + ": output is ";
+  EXPECT_EQ(beside("yolox_nano_320", "cbam_yolov5n_320"),
+            own + "1x2100x11, but the metadata's input size, layout and 6 classes make it 1x6300x11");
+  EXPECT_EQ(beside("cbam_yolov5n_320", "yolox_nano_320"),
+            own + "1x6300x11, but the metadata's input size, layout and 6 classes make it 1x2100x11");
+  EXPECT_EQ(beside("yolox_nano_320", "yolox_nano_320"), "opened");
 }
 
 TEST_F(DetectorTest, BadModelsAreNamedWithTheReason) {

@@ -149,6 +149,25 @@ class Inputs(unittest.TestCase):
             own.with_suffix('.toml').write_text((MODELS / 'cbam_yolov5n_416.toml').read_text())
             with self.assertRaisesRegex(ValueError, 'runs at none of 416 x 416'):
                 network.Network(own)
+            told = (MODELS / 'cbam_yolov5n_320.toml').read_text()
+            own.with_suffix('.toml').write_text(told.replace('"yolov5"', '"yolox"'))
+            with self.assertRaisesRegex(ValueError, 'output of 6300 rows is not of the layout that own.toml says, yolox'):
+                network.Network(own)
+
+    def test_colour_and_place_are_what_the_metadata_says(self):
+        # Whatever the layout: a network without anchors may read red first in the middle, too.
+        with tempfile.TemporaryDirectory() as folder:
+            own = pathlib.Path(folder) / 'own.onnx'
+            own.write_bytes((MODELS / 'cbam_yolov5n_320.onnx').read_bytes())
+            told = (MODELS / 'cbam_yolov5n_320.toml').read_text()
+            image = np.full((80, 160, 3), (10, 20, 30), np.uint8)
+            for colour, place, scale, first, top in (('rgb', 'centre', 1 / 255, 10, 80), ('bgr', 'top_left', 0.5, 30, 0)):
+                changed = told.replace('"rgb"', f'"{colour}"').replace('"centre"', f'"{place}"')
+                own.with_suffix('.toml').write_text(changed.replace('0.00392156862745098', str(scale)))
+                blob, _, left, above = network.Network(own).blob(image)
+                self.assertEqual((left, above), (0, top))
+                np.testing.assert_allclose(blob[0, :, top + 5, 5], np.array([first, 20, 40 - first]) * scale, rtol=1e-6)
+                self.assertAlmostEqual(float(blob[0, 0, 319, 5]), 114 * scale, places=4)
 
     def test_a_picture_is_looked_at_once(self):
         looks = []

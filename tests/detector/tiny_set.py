@@ -40,3 +40,27 @@ def make_coco_arrays(root):
             value.normal_(0, 0.1)
     (root / 'models').mkdir(exist_ok=True)
     np.savez(root / 'models' / 'yolov5n_coco_state.npz', **{k: v.numpy() for k, v in state.items()})
+
+
+def make_yolox(root):
+    """models/yolox_nano_416.onnx with weights of chance: the convolutions of the published file in its order, of which the
+    first reads 2x2 blocks of pixels as 12 channels, and nothing between them. Needs PyTorch and onnx. Returns its path."""
+    import onnx
+    import onnx.numpy_helper
+    import torch
+    import weights
+    from yolox import CbamYolox
+
+    torch.manual_seed(6)
+    nodes, held = [], []
+    for i, module in enumerate(weights._yolox_convolutions(CbamYolox(classes=80, attention=False))):
+        conv = getattr(module, 'conv', module)
+        shape = (16, 12, 3, 3) if i == 0 else conv.weight.shape
+        weight = torch.randn(shape) / float(np.prod(shape[1:])) ** 0.5 / (255 if i == 0 else 1)
+        for name, value in ((f'w{i}', weight), (f'b{i}', 0.1 * torch.randn(shape[0]))):
+            held.append(onnx.numpy_helper.from_array(value.numpy(), name))
+        nodes.append(onnx.helper.make_node('Conv', [f'x{i}', f'w{i}', f'b{i}'], [f'x{i + 1}']))
+    (root / 'models').mkdir(exist_ok=True)
+    path = root / 'models' / 'yolox_nano_416.onnx'
+    onnx.save(onnx.helper.make_model(onnx.helper.make_graph(nodes, 'yolox', [], [], held)), str(path))
+    return path

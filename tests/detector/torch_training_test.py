@@ -4,6 +4,7 @@ import io
 import json
 import os
 import pathlib
+import shutil
 import signal
 import sys
 import tempfile
@@ -23,6 +24,7 @@ import choose  # noqa: E402
 import compare  # noqa: E402
 import deliver  # noqa: E402
 import export  # noqa: E402
+import families  # noqa: E402
 import network  # noqa: E402
 import tiny_set  # noqa: E402
 import train  # noqa: E402
@@ -86,25 +88,39 @@ class Runs(InFolder):
             return self.run_to_its_end(name, *more)
 
     def test_a_run_that_was_stopped_ends_with_the_same_bits(self):
-        for start in ('scratch', 'coco'):
-            more = ['--start', start]
-            if start == 'coco':  # with a teacher, and views drawn by other processes
-                tiny_set.make_coco_arrays(self.root)
-                more += ['--workers', '2']
-            code, told = self.run_to_its_end(f'whole_{start}', '--start', start)
+        tiny_set.make_coco_arrays(self.root)
+        tiny_set.make_yolox(self.root)
+        for run, words in (('scratch', ['--start', 'scratch']), ('coco', ['--start', 'coco']),
+                           ('yolox', ['--family', 'yolox', '--permissive'])):
+            # With a teacher, and views drawn by other processes.
+            more = words if run == 'scratch' else [*words, '--workers', '2']
+            code, told = self.run_to_its_end(f'whole_{run}', *words)
             self.assertEqual(code, 0)
             self.assertIn('step 4 chooses', told)
             self.assertIn('spread of the gates', told)
-            code, told = self.interrupted_after(3, f'cut_{start}', *more)
-            self.assertEqual((code, self.held(f'cut_{start}')['step']), (train.INTERRUPTED, 3))
-            code, told = self.run_to_its_end(f'cut_{start}', *more)
+            code, told = self.interrupted_after(3, f'cut_{run}', *more)
+            self.assertEqual((code, self.held(f'cut_{run}')['step']), (train.INTERRUPTED, 3))
+            code, told = self.run_to_its_end(f'cut_{run}', *more)
             self.assertIn('goes on from step 3', told)
             self.assertEqual(code, 0)
-            whole, cut = self.held(f'whole_{start}'), self.held(f'cut_{start}')
+            whole, cut = self.held(f'whole_{run}'), self.held(f'cut_{run}')
             self.assert_same(whole, cut)
             self.assertEqual(whole['step'], 4)
-            moved = train.CbamYolov5('n').state_dict()
-            self.assertFalse(all(torch.equal(whole['net'][k], v) for k, v in moved.items()))
+            net, _, gates = export.network_of_run(self.root / f'whole_{run}' / 'checkpoint.pt', newest=True)
+            self.assertEqual(net.name(), 'cbam_yolox_nano' if run == 'yolox' else 'cbam_yolov5n')
+            begun = families.make(whole['family'], whole['size'], True).state_dict()
+            self.assertFalse(all(torch.equal(whole['net'][k], v) for k, v in begun.items()))
+
+    def test_who_learns_from_free_pictures_opens_no_others(self):
+        tiny_set.make_yolox(self.root)
+        for lost in ('cats_topdown', 'visdrone_mini'):
+            shutil.rmtree(self.root / lost)
+        for i in range(1, 9):  # of a licence that binds: in the folder, but not looked at
+            (self.root / 'aerial_cars' / 'images' / f'DJI_{i}.jpg').write_text('no picture')
+        self.run_to_its_end('run', '--family', 'yolox', '--permissive')
+        told = json.loads((self.root / 'run' / 'run.json').read_text())
+        self.assertEqual(set(told['pictures']), {'coco', 'aerial_cars'})
+        self.assertTrue(all(n.startswith('MOS') for n in told['pictures']['aerial_cars']))
 
     def test_another_run_is_refused(self):
         self.interrupted_after(1, 'run', '--start', 'scratch')
@@ -222,7 +238,7 @@ class Export(InFolder):
                 read = network.Network(file)
                 self.assertEqual((read.width, read.height), (width, height))
             again = weights.load_exported(str(file))
-            self.assertEqual(export.name_of(again), ('cbam_' if attention else '') + f'yolov5{size}')
+            self.assertEqual(again.name(), ('cbam_' if attention else '') + f'yolov5{size}')
             for key, value in net.state_dict().items():
                 self.assertTrue(torch.equal(again.state_dict()[key], value), key)
 
@@ -319,6 +335,9 @@ class Comparison(unittest.TestCase):
         self.assertIn('--seeds must be', self.refused(compare.parse, '--seeds', '0'))
         self.assertIn('multiple of 4', self.refused(compare.parse, '--batch', '6'))
         self.assertIn('multiple of 8', self.refused(train.parse, '--batch', '12', '--simulated', 'S'))
+        self.assertIn('multiple of 4', self.refused(train.parse, '--batch', '6', '--simulated', 'S', '--permissive'))
+        self.assertIn('yolox has nano', self.refused(train.parse, '--family', 'yolox', '--size', 'n'))
+        self.assertIn('yolov5 has n and s', self.refused(train.parse, '--size', 'nano'))
         args, rest = compare.parse(['--data', 'D', '--out', 'O', '--steps', '5'])
         self.assertEqual((args.seeds, rest), (3, ['--steps', '5']))
 

@@ -158,6 +158,14 @@ class Split(unittest.TestCase):
             with self.assertRaisesRegex(ValueError, f'multiple of {wanted}'):
                 data.sources_of_step(0, batch, simulated)
 
+    def test_from_free_pictures_alone_a_quarter_is_from_above(self):
+        self.assertEqual(data.sources_of_step(1, 4, permissive=True), [('coco', 3), ('aerial_cars', 1)])
+        self.assertEqual(data.sources_of_step(5, 16, True, True), [('coco', 8), ('aerial_cars', 4), ('simulated', 4)])
+        with self.assertRaisesRegex(ValueError, 'multiple of 4'):
+            data.sources_of_step(0, 6, True, True)
+        self.assertEqual(data.sets_of(False), data.SETS)
+        self.assertEqual(data.sets_of(True), ('coco', 'aerial_cars'))
+
     def test_the_digest_knows_every_change(self):
         def digest(**change):
             p = {'name': 'p', 'source': 'coco', 'image': np.zeros((4, 5, 3), np.uint8), 'boxes': np.float32([[0, 0, 2, 2]]),

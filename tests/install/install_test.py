@@ -14,7 +14,8 @@ BUILD, SOURCE = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
 EXPECTED = '''
 bin/godwit bin/godwit-latency bin/godwitd etc/godwit/godwit.toml share/bash-completion/completions/godwit
 share/bash-completion/completions/godwitd share/bash-completion/completions/godwit-latency share/godwit/godwit.dbc share/godwit/models/cbam_yolov5n_320.onnx
-share/godwit/models/cbam_yolov5n_416.onnx share/godwit/models/cbam_yolov5n_416.toml share/godwit/scenarios/street.toml
+share/godwit/models/cbam_yolov5n_416.onnx share/godwit/models/cbam_yolov5n_416.toml share/godwit/models/yolox_nano_416.onnx
+share/godwit/models/yolox_nano_416.toml share/godwit/models/yolox_nano_320.onnx share/godwit/models/LICENSE-YOLOX share/godwit/scenarios/street.toml
 share/man/man1/godwit.1 share/man/man1/godwit-latency.1 share/man/man8/godwitd.8 lib/systemd/system/godwitd.service lib/udev/rules.d/80-godwit.rules
 lib/systemd/network/80-godwit-can0.network lib/sysusers.d/godwit.conf bin/godwit-report bin/godwit-evaluate bin/godwit-from-kitti
 bin/godwit-from-video

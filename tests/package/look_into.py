@@ -37,7 +37,11 @@ CONTENT = {
         '/usr/share/doc/godwit-models/copyright', '/usr/share/godwit/models/README.md',
         '/usr/share/godwit/models/cbam_yolov5n_320.onnx', '/usr/share/godwit/models/cbam_yolov5n_320.toml',
         '/usr/share/godwit/models/cbam_yolov5n_416.onnx', '/usr/share/godwit/models/cbam_yolov5n_416.toml',
-        '/usr/share/godwit/models/cbam_yolov5n_480x352.onnx', '/usr/share/godwit/models/cbam_yolov5n_480x352.toml'],
+        '/usr/share/godwit/models/cbam_yolov5n_480x352.onnx', '/usr/share/godwit/models/cbam_yolov5n_480x352.toml',
+        '/usr/share/godwit/models/cbam_yolox_nano_416.onnx', '/usr/share/godwit/models/cbam_yolox_nano_416.toml',
+        '/usr/share/godwit/models/yolox_nano_320.onnx', '/usr/share/godwit/models/yolox_nano_320.toml',
+        '/usr/share/godwit/models/yolox_nano_416.onnx', '/usr/share/godwit/models/yolox_nano_416.toml',
+        '/usr/share/godwit/models/LICENSE', '/usr/share/godwit/models/LICENSE-YOLOX'],
 }
 # What the tools want: Ubuntu 20.04 and Debian 12 call these so.
 PYTHON = {'python3', 'python3-matplotlib', 'python3-numpy', 'python3-opencv', 'python3-pil', 'python3-yaml'}
