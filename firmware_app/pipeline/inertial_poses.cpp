@@ -39,6 +39,8 @@ vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::Metri
   m.velocity_covariance = pose.velocity_covariance;
   m.moved_by_m = pose.moved_by_m;
   m.turned_by_rad = pose.turned_by_rad;
+  m.map_moved_by_m = pose.map_moved_by_m;
+  m.map_turned_by_rad = pose.map_turned_by_rad;
   const S& x = odometry.smoother().newest();
   const auto variances = odometry.smoother().covariance().diagonal();
   m.bias = x.bias;

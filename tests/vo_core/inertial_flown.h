@@ -47,6 +47,7 @@ class Flown {
     if (young_) stray(t, &pose);
     if (lean_ != 0) lean(&pose);
     if (creeps_ != 0) creep(k, &pose);
+    if (corrected_at_ > 0) correct(k, &pose);
     return odometry_->frame(pose);
   }
   /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
@@ -83,6 +84,19 @@ class Flown {
     pose->T_map_cam.t += crept_;
     before_ = crept_;
   }
+  /// Vision strays for 16 pictures (kStrayedNs), as a map that turns fast says, and then the map is corrected by that.
+  void correct(int k, VisualPose* pose) {
+    pose->relative_age_ns = rt::kNsPerSecond / 2;
+    pose->relative_covariance.diagonal().setConstant(1e-4);
+    if (k == corrected_at_) {
+      pose->map_moved = true;
+      pose->moved_by = strayed_by_ * corrected_move_;
+      pose->turned_by = strayed_by_ * corrected_turn_;
+    }
+    strayed_by_ = k < corrected_at_ ? std::max(0.0, (k - corrected_at_ + 16) / 16.0) : 0;
+    pose->T_map_cam.R = so3_exp(-strayed_by_ * corrected_turn_) * pose->T_map_cam.R;
+    pose->T_map_cam.t -= strayed_by_ * corrected_move_;
+  }
   /// The camera's true place.
   Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
 
@@ -94,6 +108,9 @@ class Flown {
   double lean_ = 0;    ///< [rad]
   double creeps_ = 0;  ///< share of the way
   Vec3 crept_ = Vec3::Zero(), before_ = Vec3::Zero(), last_camera_ = Vec3::Zero();
+  int corrected_at_ = 0;
+  double strayed_by_ = 0;  ///< of that correction, in the last picture
+  Vec3 corrected_turn_ = Vec3::Zero(), corrected_move_ = Vec3::Zero();
   std::uint32_t map_id_ = 1;
   rt::TimeNs late_ns_ = 0;  ///< pictures are stamped so much later than they were taken
 };

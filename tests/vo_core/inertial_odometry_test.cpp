@@ -178,6 +178,25 @@ TEST(InertialOdometry, WhatACorrectionTakesBackWasNoMotion) {
   EXPECT_LT(std::abs(off), 0.015);
 }
 
+// What the vertical was seen by turns with the map: levelled by the window's next solution only, what was told leant by
+// all of a correction's turn for a picture or two, and so did what dead reckoning is compared with.
+TEST(InertialOdometry, WhatACorrectionOfTheMapHasOfWhatMovedIsToldLevelled) {
+  for (int at = 100; at < 104; ++at) {
+    Flight f(1.0, 800 + at);
+    Flown flown(&f);
+    flown.corrected_at_ = at;
+    flown.corrected_turn_ = Vec3(0.01, 0, -0.01);
+    flown.corrected_move_ = Vec3(0.03, -0.01, 0.02);
+    for (int k = 0; k < at + 4; ++k) {
+      const MetricPose pose = flown.frame(k);
+      if (k < at) continue;
+      const double moved = flown.odometry_->smoother().newest().scale() * flown.corrected_move_.norm() * 15 / 16;
+      EXPECT_NEAR(pose.map_moved_by_m.norm(), k == at ? moved : 0, 1e-9) << "all of it, once";
+      EXPECT_LT(pose.map_turned_by_rad.head<2>().norm(), 0.003) << at;
+    }
+  }
+}
+
 TEST(InertialOdometry, ASensorThatIsNotMountedAsConfiguredIsSaidAndNotFlownBy) {
   for (unsigned seed = 1; seed <= 3; ++seed) {
     Flight f(1.0, 600 + seed);

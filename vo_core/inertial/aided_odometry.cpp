@@ -22,7 +22,7 @@ void AidedOdometry::correct_map(const VisualPose& pose) {
   vertical_.correct_map(correction);
   fit_.shift(pose.moved_by);
   last_camera_ += pose.moved_by;
-  correct(pose);
+  correct(pose, vertical_.up());
 }
 
 void AidedOdometry::hear(const VisualPose& pose) {

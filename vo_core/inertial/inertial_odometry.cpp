@@ -263,7 +263,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
     smoother_.correct_map(correction_of(pose, before_.t_ns, smoother_.newest().camera));
-    correct(pose);
+    correct(pose, smoother_.newest().up);
   }
   // Not where the sensor is silent: then the picture before is not measured, either.
   const rt::TimeNs reach_ns = buffer_.newest_ns() + options_.unmeasured_ns;

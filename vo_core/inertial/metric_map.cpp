@@ -23,13 +23,19 @@ void VisionStray::judge(const VisualPose& pose) {
 void MetricMap::begin(const VisualPose& pose, const Vec3& up) {
   metric_ = true;
   told_ = false;
+  corrected_by_.setZero();
+  corrected_turn_.setZero();
   ++begun_;
   refusal_ = {};
   anchor_.begin(pose, up, have_nav_ ? &last_nav_ : nullptr);
 }
 
-void MetricMap::correct(const VisualPose& pose) {
+void MetricMap::correct(const VisualPose& pose, const Vec3& up) {
   last_map_ = SE3(so3_exp(pose.turned_by) * last_map_.R, last_map_.t + pose.moved_by);
+  if (!metric_) return;
+  anchor_.level(up);
+  corrected_by_ += pose.moved_by;
+  corrected_turn_ = so3_log(anchor_.R_nav_map() * last_map_.R * last_nav_.R.transpose());
 }
 
 MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared) {
@@ -41,7 +47,11 @@ MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const 
     const SE3 again = anchor_.in_nav(last_map_, scale);
     out.moved_by_m = again.t - last_nav_.t;
     out.turned_by_rad = so3_log(again.R * last_nav_.R.transpose());
+    out.map_moved_by_m = scale * (anchor_.R_nav_map() * corrected_by_);
+    out.map_turned_by_rad = corrected_turn_;
   }
+  corrected_by_.setZero();
+  corrected_turn_.setZero();
   const auto J = MapAnchor::shared_errors(anchor_.way(pose.T_map_cam, scale));
   out.covariance = J * shared * J.transpose() + anchor_.grown(pose, scale);
   out.log_scale_sigma = std::sqrt(shared(0, 0));

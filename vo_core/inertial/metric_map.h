@@ -35,6 +35,9 @@ struct MetricPose {
   double log_scale_sigma = 0;
   /// By how much better knowledge of scale, vertical and map moved the last frame's pose [m], and turned it.
   Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();
+  /// What a correction of the map has of that, levelled: vision had strayed by it, which poses of longer ago than
+  /// kStrayedNs are not concerned by. The rest moves all that was ever told alike.
+  Vec3 map_moved_by_m = Vec3::Zero(), map_turned_by_rad = Vec3::Zero();
 };
 
 struct VisionStrayOptions {
@@ -93,8 +96,10 @@ class MetricMap {
   /// From this frame on the map is metric. up: along its axes, unit length.
   void begin(const VisualPose& pose, const Vec3& up);
   void end() { metric_ = told_ = false; }
-  /// The map was corrected. The frame's own view of it stays: what was corrected, jumps.
-  void correct(const VisualPose& pose);
+  /// The map was corrected. The frame's own view of it stays but for the vertical: what was corrected, jumps. up: along
+  /// the corrected map's axes, unit length: what it was seen by turned with the map, so that no pose may lean until
+  /// the vertical is asked for again.
+  void correct(const VisualPose& pose, const Vec3& up);
   /// The same for moments before it. The last picture's time and camera, before the correction.
   MapCorrection correction_of(const VisualPose& pose, rt::TimeNs t_last_ns, const Vec3& last_camera) const {
     return {t_last_ns - stray_.strayed_ns(), t_last_ns, last_camera, pose.turned_by, pose.moved_by};
@@ -116,6 +121,8 @@ class MetricMap {
   Refusal refusal_;
   SE3 last_map_;  ///< the last pose told as vision has it, corrections of the map taken in
   SE3 last_nav_;
+  // What corrections of the map did to it since: moved [map units, along the map's axes], and turned along the frame's.
+  Vec3 corrected_by_ = Vec3::Zero(), corrected_turn_ = Vec3::Zero();
 };
 
 }  // namespace godwit::vo

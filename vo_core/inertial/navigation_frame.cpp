@@ -22,9 +22,9 @@ bool usable(const MetricMoment& m) {
   return is_rotation(m.T_child_cam.R) && is_rotation(m.R_body_cam) && m.T_child_cam.t.allFinite() &&
          m.velocity_m_s.allFinite() && m.covariance.allFinite() && m.velocity_covariance.allFinite() &&
          m.covariance.diagonal().minCoeff() > 0 && m.velocity_covariance.diagonal().minCoeff() > 0 &&
-         m.moved_by_m.allFinite() && m.turned_by_rad.allFinite() && m.bias.gyro.allFinite() &&
-         m.bias.accel.allFinite() && std::isfinite(m.gyro_bias_sigma) && std::isfinite(m.accel_bias_sigma) &&
-         std::abs(m.time_offset_s) < 1;
+         m.moved_by_m.allFinite() && m.turned_by_rad.allFinite() && m.map_moved_by_m.allFinite() &&
+         m.map_turned_by_rad.allFinite() && m.bias.gyro.allFinite() && m.bias.accel.allFinite() &&
+         std::isfinite(m.gyro_bias_sigma) && std::isfinite(m.accel_bias_sigma) && std::abs(m.time_offset_s) < 1;
 }
 
 }  // namespace
@@ -230,14 +230,24 @@ void NavigationFrame::hold(const NavigationPose& pose, const MetricMoment& m, rt
   known_ = any_ = true;
 }
 
-void NavigationFrame::check(const NavigationPose& pose, rt::TimeNs t_ns) {
+// What vision corrected since is no motion. Scale and vertical move all of the way alike; by what it strayed before a
+// correction of the map, what dead reckoning began with was off by its share only.
+void NavigationFrame::correct_checked(const NavigationPose& pose, const MetricMoment& m) {
+  const Vec3 map_moved = turn_ * m.map_moved_by_m, map_turned = turn_ * m.map_turned_by_rad;
+  const MapCorrection of_map{t_checked_ns_ - kStrayedNs, t_checked_ns_, checked_.p, map_turned, map_moved};
+  const double share = of_map.share(t_check_ns_);
+  const Vec3 moved = pose.moved_by_m - map_moved + share * map_moved;
+  const Mat3 turned = so3_exp(pose.turned_by_rad) * so3_exp(-map_turned) * of_map.turn(t_check_ns_);
+  check_from_ += moved;
+  checked_.p += moved;
+  checked_.v = turned * checked_.v;
+  checked_.R = turned * checked_.R;
+}
+
+void NavigationFrame::check(const NavigationPose& pose, const MetricMoment& m, rt::TimeNs t_ns) {
   bool whole = t_check_ns_ != 0 && last_seen_;
   if (whole) {
-    // What vision corrected since is no motion.
-    const Mat3 turned = so3_exp(pose.turned_by_rad);
-    checked_.p += pose.moved_by_m;
-    checked_.v = turned * checked_.v;
-    checked_.R = turned * checked_.R;
+    correct_checked(pose, m);
     whole = checked_.propagate(buffer_, t_checked_ns_ + shift_ns_, t_ns + shift_ns_, options_.inertial) == 0;
     t_checked_ns_ = t_ns;
   }
@@ -294,7 +304,7 @@ NavigationPose NavigationFrame::frame(rt::TimeNs t_ns, const MetricMoment* seen)
     if (any_) out.why = why_, out.value = value_, out.limit = limit_;
   }
   hold(out, m, t_ns);
-  check(out, t_ns);
+  check(out, m, t_ns);
   last_seen_ = true;
   out.trust = self_check_.trust();
   return out;

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "vo_core/inertial/carried_motion.h"
+#include "vo_core/inertial/map_correction.h"
 #include "vo_core/inertial/self_check.h"
 
 namespace godwit::vo {
@@ -17,6 +18,8 @@ struct MetricMoment {
   Mat6 covariance = Mat6::Zero();    ///< of (place [m], rotation vector [rad]) along the frame's axes
   Mat3 velocity_covariance = Mat3::Zero();
   Vec3 moved_by_m = Vec3::Zero(), turned_by_rad = Vec3::Zero();  ///< by what was found out since the last moment
+  /// What a correction of the map has of that: vision strayed by it in the last kStrayedNs before.
+  Vec3 map_moved_by_m = Vec3::Zero(), map_turned_by_rad = Vec3::Zero();
   ImuBias bias;
   double gyro_bias_sigma = 5e-3;  ///< [rad/s], an axis
   double accel_bias_sigma = 0.1;  ///< [m/s^2]
@@ -107,7 +110,8 @@ class NavigationFrame {
   void begin(const MetricMoment& m, const Mat3& R_child_body, const Vec3& p_child_body);
   bool join(const MetricMoment& m, const Mat3& R_child_body, const Vec3& p_child_body);
   void hold(const NavigationPose& pose, const MetricMoment& m, rt::TimeNs t_ns);
-  void check(const NavigationPose& pose, rt::TimeNs t_ns);
+  void check(const NavigationPose& pose, const MetricMoment& m, rt::TimeNs t_ns);
+  void correct_checked(const NavigationPose& pose, const MetricMoment& m);
   NavigationPose tell_seen(const MetricMoment& m) const;
   NavigationPose tell_coasted(rt::TimeNs t_ns) const;
 
