@@ -1,9 +1,10 @@
 // A plugin of clang-tidy: its matchers see the project's declarations and not those of system headers.
 //
 // clang-tidy 14 walks the whole of a unit once for all checks, Eigen's, OpenCV's and the library's templates with every
-// instance of them included, and drops afterwards what it found there: two thirds of its time. Here the walk is bounded before
-// it begins, as clangd bounds its own. The headers are still parsed and stay known to whatever the project's code refers to;
-// the static analyzer, which follows functions by their calls, is not touched. Loaded by scripts/check_tidy --all.
+// instance of them included, and drops afterwards what it found there: three quarters of its time. Here the walk is
+// bounded before it begins, as clangd bounds its own. The headers are still parsed and stay known to whatever the
+// project's code refers to; the static analyzer, which follows functions by their calls, is not touched. Loaded by
+// scripts/check_tidy.
 #include <memory>
 #include <string>
 #include <vector>
@@ -34,13 +35,17 @@ class OwnCode : public clang::ASTConsumer {
 
 class OwnCodeAction : public clang::PluginASTAction {
  protected:
-  std::unique_ptr<clang::ASTConsumer> CreateASTConsumer(clang::CompilerInstance& /*compiler*/, llvm::StringRef /*file*/) override {
+  std::unique_ptr<clang::ASTConsumer> CreateASTConsumer(clang::CompilerInstance& /*compiler*/,
+                                                        llvm::StringRef /*file*/) override {
     return std::make_unique<OwnCode>();
   }
-  bool ParseArgs(const clang::CompilerInstance& /*compiler*/, const std::vector<std::string>& /*args*/) override { return true; }
+  bool ParseArgs(const clang::CompilerInstance& /*compiler*/, const std::vector<std::string>& /*args*/) override {
+    return true;
+  }
   ActionType getActionType() override { return AddBeforeMainAction; }
 };
 
-const clang::FrontendPluginRegistry::Add<OwnCodeAction> kAdded("own-code", "matchers see the project's declarations only");
+const clang::FrontendPluginRegistry::Add<OwnCodeAction> kAdded("own-code",
+                                                               "matchers see the project's declarations only");
 
 }  // namespace
