@@ -19,7 +19,8 @@ void carry_and_mask(benchmark::State& state) {
   }
   std::vector<FeatureMotion> features(400);
   for (std::size_t i = 0; i < features.size(); ++i) {
-    const float x = static_cast<float>(i % 20) * 32.F, y = static_cast<float>(i / 20) * 24.F;
+    const std::size_t row = i / 20, column = i % 20;
+    const float x = static_cast<float>(column) * 32.F, y = static_cast<float>(row) * 24.F;
     features[i] = {x, y, x + 0.1F, y};
   }
   CarrierLimits limits;

@@ -101,6 +101,7 @@ struct Picture {
 void klt_track(benchmark::State& state) {
   const Picture first(0), left(3.3), right(-2.6);
   std::vector<vo::Vec2f> px;
+  px.reserve(kTracks);
   for (int i = 0; i < kTracks; ++i) px.push_back(vo::Vec2(40 + 28 * (i % 20), 40 + 20 * (i / 20)).cast<float>());
   vo::KltTracker tracker({});
   int alive = tracker.set_reference(first.pyramid, px, 1.0f);

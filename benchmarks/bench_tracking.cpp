@@ -33,9 +33,10 @@ struct View {
       for (int x = 0; x < 640; ++x)
         pixels[static_cast<std::size_t>(y * 640 + x)] = static_cast<std::uint8_t>(
             128 + 50 * std::sin(0.21 * (x - shift) + 0.07 * y) + 50 * std::cos(0.17 * y - 0.05 * (x - shift)));
-    const auto at = (reinterpret_cast<std::uintptr_t>(storage.data()) + 63) / 64 * 64;
-    pyramid =
-        vo::build_pyramid({pixels.data(), 640, 480, 640}, 5, reinterpret_cast<std::uint8_t*>(at), storage.size() - 64);
+    void* at = storage.data();
+    std::size_t left = storage.size();
+    std::align(64, vo::pyramid_bytes(640, 480, 5), at, left);
+    pyramid = vo::build_pyramid({pixels.data(), 640, 480, 640}, 5, static_cast<std::uint8_t*>(at), left);
   }
 };
 

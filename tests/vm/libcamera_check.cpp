@@ -32,7 +32,7 @@ CameraWatch watch(const DeviceSettings& settings) {
           }};
 }
 
-bool refused(DeviceSettings settings, const char* words) {
+bool refused(const DeviceSettings& settings, const char* words) {
   CameraWatch w = watch(settings);
   w.take(1, rt::kNsPerSecond);
   return w.told(words);
