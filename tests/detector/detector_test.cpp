@@ -6,6 +6,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 #include <opencv2/dnn.hpp>
@@ -139,74 +140,80 @@ INSTANTIATE_TEST_SUITE_P(Sizes, DeliveredModel,
                                            Input{"yolox_nano_320", 320, 320}, Input{"cbam_yolox_nano_416", 416, 416}),
                          [](const auto& input) { return std::string(input.param.model); });
 
-// One set of weights in two inputs: what a picture of a camera shows is in the same places.
-TEST_F(DetectorTest, ARectangularInputFindsTheSameAsASquareOne) {
-  const char* shared = std::getenv("GODWIT_SHARED_DIR");
-  const std::string root = std::string(shared != nullptr ? shared : "") + "/data/detection/coco256/images/val2017";
-  if (shared == nullptr || !fs::exists(root)) {
-    ASSERT_STRNE(std::getenv("CI") != nullptr ? std::getenv("CI") : "", "true") << "shared data is missing";
-    GTEST_SKIP() << "GODWIT_SHARED_DIR has no detection pictures";
-  }
-  auto square = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
-  auto wide = Detector::open(kModels + "/cbam_yolov5n_480x352.onnx", {});
-  ASSERT_TRUE(square.ok() && wide.ok());
-  std::vector<fs::path> pictures;
-  for (const auto& entry : fs::directory_iterator(root)) pictures.push_back(entry.path());
-  std::sort(pictures.begin(), pictures.end());
+/// How many boxes that the one is sure of, in pictures of COCO, and how many of them the other finds as well.
+struct Shared {
   int sure = 0, same = 0;
+};
+Shared boxes_in_common(Detector* one, Detector* other, const std::vector<fs::path>& pictures,
+                       const std::function<bool(const cv::Mat&)>& looked_at,
+                       const std::function<bool(const Box&)>& is_sure) {
+  Shared out;
   for (const fs::path& path : pictures) {
     const cv::Mat image = cv::imread(path.string());
-    if (image.cols < image.rows || sure >= 25) continue;
+    if (out.sure >= 25) break;
+    if (!looked_at(image)) continue;
     const PictureView view{image.data, image.cols, image.rows, static_cast<int>(image.step[0]), 3};
     BoxList a, b;
-    ASSERT_TRUE(square.value().detect(view, &a).ok());
-    ASSERT_TRUE(wide.value().detect(view, &b).ok());
+    EXPECT_TRUE(one->detect(view, &a).ok());
+    EXPECT_TRUE(other->detect(view, &b).ok());
     for (const Box& box : a.view()) {
-      if (box.score < 0.7F) continue;
-      ++sure;
-      same += std::any_of(b.view().begin(), b.view().end(), [&](const Box& other) {
-        return other.class_id == box.class_id && overlap(other, box) > 0.7F;
+      if (!is_sure(box)) continue;
+      ++out.sure;
+      out.same += std::any_of(b.view().begin(), b.view().end(), [&](const Box& found) {
+        return found.class_id == box.class_id && overlap(found, box) > 0.7F;
       });
     }
   }
-  ASSERT_GE(sure, 20);
-  EXPECT_GE(same * 10, sure * 9) << same << " of " << sure;
+  return out;
 }
 
-// Two networks that have nothing in common but the pictures: were boxes of one read wrongly, they would not meet.
-TEST_F(DetectorTest, TheNetworkWithoutAnchorsFindsThePeopleOfTheOther) {
+/// In the order of their names; none where the shared data has none.
+std::vector<fs::path> coco_pictures() {
   const char* shared = std::getenv("GODWIT_SHARED_DIR");
   const std::string root = std::string(shared != nullptr ? shared : "") + "/data/detection/coco256/images/val2017";
-  if (shared == nullptr || !fs::exists(root)) {
+  std::vector<fs::path> out;
+  if (shared == nullptr || !fs::exists(root)) return out;
+  for (const auto& entry : fs::directory_iterator(root)) out.push_back(entry.path());
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+class CocoPictures : public DetectorTest {
+ protected:
+  void SetUp() override {
+    DetectorTest::SetUp();
+    if (!pictures_.empty()) return;
     ASSERT_STRNE(std::getenv("CI") != nullptr ? std::getenv("CI") : "", "true") << "shared data is missing";
     GTEST_SKIP() << "GODWIT_SHARED_DIR has no detection pictures";
   }
+  const std::vector<fs::path> pictures_ = coco_pictures();
+};
+
+// One set of weights in two inputs: what a picture of a camera shows is in the same places.
+TEST_F(CocoPictures, ARectangularInputFindsTheSameAsASquareOne) {
+  auto square = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
+  auto wide = Detector::open(kModels + "/cbam_yolov5n_480x352.onnx", {});
+  ASSERT_TRUE(square.ok() && wide.ok());
+  const Shared found = boxes_in_common(
+      &square.value(), &wide.value(), pictures_, [](const cv::Mat& image) { return image.cols >= image.rows; },
+      [](const Box& box) { return box.score >= 0.7F; });
+  ASSERT_GE(found.sure, 20);
+  EXPECT_GE(found.same * 10, found.sure * 9) << found.same << " of " << found.sure;
+}
+
+// Two networks that have nothing in common but the pictures: were boxes of one read wrongly, they would not meet.
+TEST_F(CocoPictures, TheNetworkWithoutAnchorsFindsThePeopleOfTheOther) {
   auto with_anchors = Detector::open(kModels + "/cbam_yolov5n_416.onnx", {});
   auto without = Detector::open(kModels + "/yolox_nano_416.onnx", {});
   ASSERT_TRUE(with_anchors.ok() && without.ok());
   EXPECT_EQ(with_anchors.value().info().layout, Layout::kYolov5);
   EXPECT_EQ(without.value().info().layout, Layout::kYolox);
   EXPECT_EQ(with_anchors.value().info().classes, without.value().info().classes);
-  std::vector<fs::path> pictures;
-  for (const auto& entry : fs::directory_iterator(root)) pictures.push_back(entry.path());
-  std::sort(pictures.begin(), pictures.end());
-  int sure = 0, same = 0;
-  for (const fs::path& path : pictures) {
-    const cv::Mat image = cv::imread(path.string());
-    if (sure >= 25) break;
-    const PictureView view{image.data, image.cols, image.rows, static_cast<int>(image.step[0]), 3};
-    BoxList a, b;
-    ASSERT_TRUE(with_anchors.value().detect(view, &a).ok());
-    ASSERT_TRUE(without.value().detect(view, &b).ok());
-    for (const Box& box : a.view()) {
-      if (box.score < 0.8F || box.class_id != 0) continue;
-      ++sure;
-      same += std::any_of(b.view().begin(), b.view().end(),
-                          [&](const Box& other) { return other.class_id == 0 && overlap(other, box) > 0.7F; });
-    }
-  }
-  ASSERT_GE(sure, 20);
-  EXPECT_GE(same * 10, sure * 9) << same << " of " << sure;
+  const Shared found = boxes_in_common(
+      &with_anchors.value(), &without.value(), pictures_, [](const cv::Mat&) { return true; },
+      [](const Box& box) { return box.score >= 0.8F && box.class_id == 0; });
+  ASSERT_GE(found.sure, 20);
+  EXPECT_GE(found.same * 10, found.sure * 9) << found.same << " of " << found.sure;
 }
 
 // The metadata of one network beside the file of another, its checksum made to fit: told apart by the output's rows.

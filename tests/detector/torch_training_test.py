@@ -26,6 +26,7 @@ import deliver  # noqa: E402
 import export  # noqa: E402
 import families  # noqa: E402
 import network  # noqa: E402
+import through_opencv  # noqa: E402
 import tiny_set  # noqa: E402
 import train  # noqa: E402
 import weights  # noqa: E402
@@ -208,17 +209,7 @@ class Export(InFolder):
             yield cv2.GaussianBlur(image, (5, 5), float(rng.uniform(0.3, 2)))
 
     def worst(self, net, file, width, height, count):
-        read, worst = cv2.dnn.readNetFromONNX(str(file)), 0.0
-        for image in self.pictures(count, width, height):
-            blob = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / 255
-            read.setInput(blob)
-            with torch.no_grad():
-                expected = net(torch.from_numpy(blob)).numpy()
-            found = read.forward()
-            self.assertEqual(found.shape, expected.shape)
-            # Scores against 1, boxes (pixels of the input) against their own size.
-            worst = max(worst, float((np.abs(found - expected) / np.maximum(1, np.abs(expected))).max()))
-        return worst
+        return through_opencv.worst_difference(net, file, self.pictures(count, width, height))
 
     def test_a_network_says_the_same_through_opencv_whatever_its_input(self):
         for size, attention in (('n', True), ('n', False), ('s', True)):

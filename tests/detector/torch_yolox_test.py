@@ -15,6 +15,7 @@ import data  # noqa: E402
 import export  # noqa: E402
 import families  # noqa: E402
 import network  # noqa: E402
+import through_opencv  # noqa: E402
 import tiny_set  # noqa: E402
 import train  # noqa: E402
 import weights  # noqa: E402
@@ -287,18 +288,10 @@ class Start(InFolder):
 
 class Export(InFolder):
     def worst(self, net, file, width, height, count):
-        read, worst, rng = cv2.dnn.readNetFromONNX(str(file)), 0.0, np.random.default_rng(5)
-        for _ in range(count):
-            image = cv2.GaussianBlur(cv2.resize(rng.integers(0, 255, (12, 16, 3), dtype=np.uint8), (width, height),
-                                                interpolation=cv2.INTER_NEAREST), (5, 5), 1)
-            blob = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / 255
-            read.setInput(blob)
-            with torch.no_grad():
-                expected = net(torch.from_numpy(blob)).numpy()
-            found = read.forward()
-            self.assertEqual(found.shape, expected.shape)
-            worst = max(worst, float((np.abs(found - expected) / np.maximum(1, np.abs(expected))).max()))
-        return worst
+        rng = np.random.default_rng(5)
+        return through_opencv.worst_difference(net, file, (
+            cv2.GaussianBlur(cv2.resize(rng.integers(0, 255, (12, 16, 3), dtype=np.uint8), (width, height),
+                                        interpolation=cv2.INTER_NEAREST), (5, 5), 1) for _ in range(count)))
 
     def test_a_network_says_the_same_through_opencv_whatever_its_input(self):
         for attention in (True, False):
