@@ -79,12 +79,13 @@ class Renderer {
       cv::Matx33d turn;
       cv::Rodrigues(pose.turn, turn);
       // Where a ray from the camera meets the board: in the board's frame.
-      const cv::Vec3d from = turn.t() * (-pose.shift);
+      const cv::Matx33d back = turn.t();
+      const cv::Vec3d from = back * (-pose.shift);
       for (int y = row * kFine; y < (row + 1) * kFine; ++y) {
         auto* const to = fine.ptr<std::uint8_t>(y);
         for (int x = 0; x < fine.cols; ++x) {
           const cv::Point2d& r = rays_[static_cast<std::size_t>(y * fine.cols + x)];
-          const cv::Vec3d ray = turn.t() * cv::Vec3d(r.x, r.y, 1);
+          const cv::Vec3d ray = back * cv::Vec3d(r.x, r.y, 1);
           const double length = -from[2] / ray[2];
           to[x] = length > 0
                       ? static_cast<std::uint8_t>(print_.at(from[0] + length * ray[0], from[1] + length * ray[1]))
