@@ -75,7 +75,7 @@ class TestLanes(unittest.TestCase):
             self.assertIn(name, calls)
             self.assertIn(f"what {name} prints", printed)
         self.assertEqual(printed.count("100% tests passed"), 8, "printed once when it ended, and once at the end")
-        self.assertIn("only scripts/test full runs crowd", printed)
+        self.assertIn("only scripts/test full runs vo_core's, of 1 files", printed)
 
     def test_a_build_goes_while_tests_run(self):
         # Neither could end without the other.
