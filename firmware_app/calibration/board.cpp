@@ -152,11 +152,16 @@ std::vector<BoardPoint> find_grid(const Board& board, const cv::Mat& grey) {
 }  // namespace
 
 std::array<double, 3> Board::point(int id) const {
-  if (kind == Kind::kChessboard) return {size_m * (id % columns), size_m * (id / columns), 0};
+  const auto place = [this](int nth, double step) {
+    const int column = nth % columns, row = nth / columns;
+    return std::array<double, 3>{step * column, step * row, 0};
+  };
+  if (kind == Kind::kChessboard) return place(id, size_m);
   const int tag = id / 4, corner = id % 4;
   const double step = size_m * (1 + spacing);
   const double right = corner == 1 || corner == 2 ? size_m : 0, up = corner >= 2 ? size_m : 0;
-  return {step * (tag % columns) + right, step * (tag / columns) + up, 0};
+  const std::array<double, 3> lowest = place(tag, step);
+  return {lowest[0] + right, lowest[1] + up, 0};
 }
 
 rt::Result<Board> parse_board(const std::string& text) {

@@ -40,6 +40,7 @@ rt::Result<void> run_tool(const std::string& name, const std::vector<std::string
   std::vector<std::string> words{program};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<char*> argv;
+  argv.reserve(words.size() + 1);
   for (std::string& word : words) argv.push_back(word.data());
   argv.push_back(nullptr);
   // What this thread keeps from itself must not be kept from it.

@@ -82,10 +82,11 @@ void read_table(const toml::table& table, const std::string& prefix, const std::
     if (is_section && node.is_table()) {
       read_table(*node.as_table(), full + ".", keys, report);
     } else if (is_section) {
-      report->mistakes.push_back(at(report->file, node) + full + ": a section, [" + full + "], is allowed");
+      report->mistakes.push_back(
+          at(report->file, node).append(full).append(": a section, [").append(full).append("], is allowed"));
     } else {
       const std::string what = node.is_table() ? unknown_section(prefix, keys) : unknown_key(full, keys);
-      report->mistakes.push_back(at(report->file, node) + full + ": " + what);
+      report->mistakes.push_back(at(report->file, node).append(full).append(": ").append(what));
     }
   }
 }

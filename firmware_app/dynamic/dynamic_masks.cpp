@@ -40,6 +40,7 @@ detector::HoldLimits hold_limits(const DynamicMasksOptions& options, const rt::F
 std::vector<bool> may_park(const std::vector<std::string>& classes) {
   constexpr std::array<std::string_view, 6> kVehicles = {"bicycle", "car", "motorcycle", "bus", "truck", "van"};
   std::vector<bool> out;
+  out.reserve(classes.size());
   for (const std::string& name : classes)
     out.push_back(std::find(kVehicles.begin(), kVehicles.end(), name) != kVehicles.end());
   return out;

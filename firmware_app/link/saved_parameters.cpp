@@ -12,8 +12,12 @@ void read_saved_parameters(const std::string& path, const std::string& text, Sto
   for (int number = 1; std::getline(in, line); ++number) {
     if (line.empty() || line[0] == '#') continue;
     const auto wrong = [&](const std::string& why) {
-      state->warnings.push_back(path + ":" + std::to_string(number) + ": " + why +
-                                "; the configuration's value stands");
+      std::string& told = state->warnings.emplace_back(path);
+      told.append(":")
+          .append(std::to_string(number))
+          .append(": ")
+          .append(why)
+          .append("; the configuration's value stands");
     };
     std::istringstream words(line);
     std::string name, text_value, rest;

@@ -109,6 +109,7 @@ TEST(DynamicMasks, NothingIsAllocatedOnTheTrackerThread) {
   DynamicMasks* const masks = made.masks.get();
 
   std::vector<SeenPoint> points;
+  points.reserve(150);
   for (int i = 0; i < 150; ++i) points.push_back({2.F * static_cast<float>(i), 1.5F * static_cast<float>(i), 10.F});
   constexpr int kPeriod = 10, kLate = 3;
   int slot = made.pool->acquire(), looked_at = made.pool->acquire();

@@ -275,7 +275,8 @@ TEST(ParkedBoxes, MoreThingsThanTracksAndLateDetections) {
   ParkedBoxes boxes(camera(), {false, true});
   std::vector<detector::Box> many;
   for (int i = 0; i < detector::kMaxBoxes; ++i) {
-    const float x = 10.F + 38.F * static_cast<float>(i % 16), y = 10.F + 55.F * static_cast<float>(i / 16);
+    const int column = i % 16, row = i / 16;
+    const float x = 10.F + 38.F * static_cast<float>(column), y = 10.F + 55.F * static_cast<float>(row);
     many.push_back({x, y, x + 30.F, y + 45.F, 0.9F, kCar, -1});
   }
   const rt::HeapCounts before = rt::rt_heap_counts();

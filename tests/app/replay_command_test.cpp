@@ -81,9 +81,12 @@ TEST_F(Replay, TellsTheStateAndWhyInTheLog) {
 TEST_F(Replay, WhateverBecomesOfItsLogItFliesToItsEnd) {
   const std::string code = folder_ / "code";
   const std::string flown = "'" GODWIT_TOOL "' replay '" + sequence() + "' --pace real --out '" + out() + "' ";
-  for (const std::string& command :
-       {flown + ">/dev/null 2>&-; echo $? >'" + code + "'", flown + ">/dev/null 2>/dev/full; echo $? >'" + code + "'",
-        "{ " + flown + "2>&1 >/dev/null; echo $? >'" + code + "'; } | true"}) {
+  // Its output goes nowhere, its log to `log` and its exit code into a file.
+  const auto with_log = [&](const std::string& log) {
+    return std::string(flown).append(log).append("; echo $? >'").append(code).append("'");
+  };
+  for (const std::string& command : {with_log(">/dev/null 2>&-"), with_log(">/dev/null 2>/dev/full"),
+                                     std::string("{ ").append(with_log("2>&1 >/dev/null")).append("; } | true")}) {
     fs::remove_all(out());
     run_command("{ " + command + "; }");
     EXPECT_EQ(read_file(code), "0\n") << command;

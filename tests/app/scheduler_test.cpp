@@ -89,7 +89,7 @@ TEST(Scheduler, AnUnevenCameraDoesNotStretchTheDetectorsPeriod) {
     ++detections;
     scheduler.detection_done(now + 20 * kMs, now, false);
   }
-  EXPECT_NEAR(detections, kFrames / 3, kFrames / 100);
+  EXPECT_NEAR(detections, kFrames / 3.0, kFrames / 100.0);
 }
 
 TEST(Scheduler, ASlowDetectorGetsTheSmallInputForTheMasksSake) {

@@ -325,7 +325,7 @@ TEST(Pictures, FlickerMakesBandsWithARollingShutter) {
 }
 
 TEST(Pictures, TheScenarioDropsPictures) {
-  const Flight flight(in_small(scenario("dropped-frames")), 1);  // all of its pictures are drawn
+  const Flight flight(test::in_small(scenario("dropped-frames")), 1);  // all of its pictures are drawn
   const std::unique_ptr<SimCamera> camera = flight.camera(7'000);
   int bad = 0, due = 0;
   hal::CapturedFrame frame;

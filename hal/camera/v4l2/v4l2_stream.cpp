@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cerrno>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -114,7 +115,7 @@ void V4l2Stream::set_rate(double fps) {
   v4l2_streamparm p{};
   p.type = kCapture;
   if (fps > 0) {
-    p.parm.capture.timeperframe = {1000, static_cast<std::uint32_t>(fps * 1000 + 0.5)};
+    p.parm.capture.timeperframe = {1000, static_cast<std::uint32_t>(std::lround(fps * 1000))};
     call(VIDIOC_S_PARM, &p);  // what became of it is read below
   }
   p = {};
