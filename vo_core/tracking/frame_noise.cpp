@@ -10,6 +10,8 @@ namespace godwit::vo {
 namespace {
 constexpr double kKept = 0.95;  ///< of the sums a frame later: an average over some 20 frames
 constexpr int kFewest = 16;     ///< corners, two a band
+/// A camera that strays by more than two sigmas of a measurement is not told from people who cross the picture.
+constexpr double kMostShake = 4.0;
 }  // namespace
 
 FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<const PoseMeasurement> measurements,
@@ -63,8 +65,10 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   }
   if (corners < kFewest) return {H_inv * variance, Mat6::Zero()};
   const double independent = spread.band_square() / (2.0 * corners - 6.0) * sums;
-  sums_ = kKept * sums_ + spread.band_sum_square();
-  independent_ = kKept * independent_ + independent;
+  // In units of what a patch alone makes of a measurement.
+  const double stated = 1.0 + shake_;
+  sums_ = kKept * sums_ + stated * spread.band_sum_square();
+  independent_ = kKept * independent_ + stated * independent;
   squares_ = kKept * squares_ + squares;
   out.noise = H_inv * (variance * std::max(1.0, sums_ / independent_));
   out.strayed.setZero();
@@ -76,7 +80,8 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   constexpr double kLeft = (2.0 * kBands - 6.0) / (2.0 * kBands);
   const double strayed = std::max(0.0, sums_ - independent_) / (2.0 * squares_ * kLeft);
   const Eigen::Matrix<double, 6, 2> moved = H_inv * J_all.transpose();
-  out.strayed = strayed * moved * moved.transpose();
+  out.strayed = strayed / stated * moved * moved.transpose();
+  shake_ = std::min(strayed, kMostShake);
   return out;
 }
 

@@ -1,6 +1,7 @@
 // The tracker with a map: the pose of a frame, from the last frame, from a keyframe or from what points look like, and
 // whether it may be believed.
 #include <algorithm>
+#include <cmath>
 
 #include "vo_core/features/match_noise.h"
 #include "vo_core/tracking/pose_evidence.h"
@@ -92,6 +93,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   rt::TimeNs t1 = now();
   result->times.reproject += t1 - t0;
 
+  const double shaken = std::sqrt(1.0 + noise_.shake());
   for (int i = 0; i < r.matches; ++i) {
     PoseMeasurement& m = measurements_[i];
     m.p_world = map_->point(found[i].point.index).p_world;
@@ -99,7 +101,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
     m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
-    m.sigma_px = match_sigma_px(found[i].level) * (found[i].shaded ? options_.shaded_sigma : 1.0);
+    m.sigma_px = match_sigma_px(found[i].level) * shaken * (found[i].shaded ? options_.shaded_sigma : 1.0);
   }
   match_count_ = r.matches;
   PoseOptimizerResult p =
