@@ -48,6 +48,7 @@ class Flown {
     if (lean_ != 0) lean(&pose);
     if (creeps_ != 0) creep(k, &pose);
     if (corrected_at_ > 0) correct(k, &pose);
+    if (walks_ != 0) walk(t, &pose);
     return odometry_->frame(pose);
   }
   /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
@@ -97,6 +98,30 @@ class Flown {
     pose->T_map_cam.R = so3_exp(-strayed_by_ * corrected_turn_) * pose->T_map_cam.R;
     pose->T_map_cam.t -= strayed_by_ * corrected_move_;
   }
+  /// As a map does whose first part was seen badly: the tracker says so of that part, and that the whole map is off by
+  /// as much. What is hung on it walks on, less and less (VisionStrayOptions::memory_ns), and the tracker does not say.
+  void walk(double t, VisualPose* pose) {
+    const double rate = walks_ * std::exp(-t / 5);
+    walked_ += rate * std::sqrt(0.05) * flight_.random();
+    pose->T_map_cam.t += walked_;
+    const double told = (t < 0.5 ? 1 : 0.02) * walks_ / flight_.model_.position_stray;
+    pose->relative_age_ns = rt::kNsPerSecond / 2;
+    pose->relative_covariance.diagonal().head<3>().setConstant(0.5 * told * told);
+    pose->relative_covariance.diagonal().tail<3>().setConstant(1e-9);
+    pose->covariance.diagonal().head<3>().setConstant(2.5 * walks_ * walks_);
+  }
+  /// The true place less what is told; heading and place of the first pose are taken over, since nobody told them.
+  Vec3 place_error(int k, const MetricPose& pose) {
+    const double t = k / 20.0;
+    if (begun_ < 0) {
+      begun_ = k;
+      const Mat3 D = pose.T_nav_cam.R * (flight_.R(t) * flight_.mounting_.R_body_cam).transpose();
+      turn_ = so3_exp(Vec3(0, 0, std::atan2(D(1, 0) - D(0, 1), D(0, 0) + D(1, 1))));
+      p_first_ = camera(t);
+      q_first_ = pose.T_nav_cam.t;
+    }
+    return turn_ * (camera(t) - p_first_) - (pose.T_nav_cam.t - q_first_);
+  }
   /// The camera's true place.
   Vec3 camera(double t) const { return flight_.p(t) + flight_.R(t) * flight_.mounting_.t_body_cam_m; }
 
@@ -111,6 +136,11 @@ class Flown {
   int corrected_at_ = 0;
   double strayed_by_ = 0;  ///< of that correction, in the last picture
   Vec3 corrected_turn_ = Vec3::Zero(), corrected_move_ = Vec3::Zero();
+  int begun_ = -1;                ///< the first picture that place_error heard of
+  Mat3 turn_ = Mat3::Identity();  ///< the truth's heading into the frame's
+  Vec3 p_first_ = Vec3::Zero(), q_first_ = Vec3::Zero();
+  double walks_ = 0;  ///< [map units/sqrt(s), an axis]
+  Vec3 walked_ = Vec3::Zero();
   std::uint32_t map_id_ = 1;
   rt::TimeNs late_ns_ = 0;  ///< pictures are stamped so much later than they were taken
 };

@@ -26,34 +26,24 @@ TEST(InertialOdometry, BecomesMetricAndLevelAndItsCovarianceHolds) {
   for (unsigned seed = 1; seed <= kFlights; ++seed) {
     Flight f(1.0, 300 + seed);
     Flown flown(&f, true);
-    int begun = -1;
-    Vec3 p_first = Vec3::Zero(), q_first = Vec3::Zero();
-    Mat3 turn = Mat3::Identity();  // the gauge: heading and place where it began
     for (int k = 0; k < 160; ++k) {
       const MetricPose pose = flown.frame(k);
       if (!pose.valid) {
-        ASSERT_LT(begun, 0) << "once metric it stays so";
+        ASSERT_LT(flown.begun_, 0) << "once metric it stays so";
         continue;
       }
       const double t = k / 20.0;
       const Mat3 R_cam = f.R(t) * f.mounting_.R_body_cam;
-      if (begun < 0) {
-        begun = k;
-        const Mat3 D = pose.T_nav_cam.R * R_cam.transpose();
-        turn = so3_exp(Vec3(0, 0, std::atan2(D(1, 0) - D(0, 1), D(0, 0) + D(1, 1))));
-        p_first = flown.camera(t);
-        q_first = pose.T_nav_cam.t;
-        continue;
-      }
-      const Vec3 e = turn * (flown.camera(t) - p_first) - (pose.T_nav_cam.t - q_first);
+      const Vec3 e = flown.place_error(k, pose);
+      if (k == flown.begun_) continue;
       nees += e.dot(pose.covariance.topLeftCorner<3, 3>().llt().solve(e)) / 3;
       tilt += angle_between(pose.T_nav_cam.R.transpose() * Vec3::UnitZ(), R_cam.transpose() * Vec3::UnitZ());
       const Vec3 v = (flown.camera(t + 1e-4) - flown.camera(t - 1e-4)) / 2e-4;
-      speed2 += (turn * v - pose.velocity_m_s).squaredNorm() / 3;
+      speed2 += (flown.turn_ * v - pose.velocity_m_s).squaredNorm() / 3;
       ++told;
     }
-    ASSERT_GE(begun, 0);
-    EXPECT_LE(begun, 40) << "within two seconds";
+    ASSERT_GE(flown.begun_, 0);
+    EXPECT_LE(flown.begun_, 40) << "within two seconds";
   }
   ASSERT_GT(told, 12 * 100);
   EXPECT_LT(nees / told, 2.0);
@@ -140,6 +130,32 @@ TEST(InertialOdometry, AMapThatBeganBadlyIsBelievedAsFarAsItSays) {
   // Taken for as good as any, its window has no solution that fits until it is some 6 s old.
   ASSERT_GT(told, 12 * 150);
   EXPECT_LT(nees / told, 3.0);
+}
+
+// The window counts with a walk of vision's places that the tracker does not tell, what is told has to. Simulated
+// take-offs (gnss-loss, seeds 74 and 78) strayed by 0.05 to 0.1 m across the way, told as 0.012 to 0.021.
+TEST(InertialOdometry, PlacesAreToldNoSurerThanVisionStrays) {
+  double nees = 0;
+  int told = 0, inside = 0;
+  for (unsigned seed = 1; seed <= 8; ++seed) {
+    Flight f(1.0, 400 + seed);
+    Flown flown(&f, true);
+    flown.walks_ = 0.01;
+    for (int k = 0; k < 140; ++k) {
+      const MetricPose pose = flown.frame(k);
+      if (!pose.valid) continue;
+      const Vec3 e = flown.place_error(k, pose);
+      if (k == flown.begun_) continue;
+      const double e2 = e.dot(pose.covariance.topLeftCorner<3, 3>().llt().solve(e));
+      nees += e2 / 3;
+      inside += e2 < 7.815 ? 1 : 0;
+      ++told;
+    }
+  }
+  ASSERT_GT(told, 8 * 100);
+  EXPECT_GT(nees / told, 0.5);
+  EXPECT_LT(nees / told, 1.5);
+  EXPECT_GT(inside, 0.85 * told);
 }
 
 TEST(InertialOdometry, AMapThatLeansIsNoBiasAndNoSlant) {

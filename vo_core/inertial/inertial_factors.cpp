@@ -145,6 +145,12 @@ double position_stray(const VisionSight& sight, const InertialModel& model) {
   return std::hypot(model.position_walk * sight.depth, model.position_stray * std::sqrt(sight.position_rate));
 }
 
+double moving_share(const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model) {
+  const double moved = std::hypot((at_j.camera - at_i.camera).norm() / at_j.depth,
+                                  (at_j.R_map_cam - at_i.R_map_cam).norm() / std::sqrt(2.0));
+  return std::clamp(moved / model.still, model.at_rest, 1.0);
+}
+
 void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model,
                  PairResidual* r, PairJacobian* J_i, PairJacobian* J_j) {
   const double root = std::sqrt(d.dt_s());
@@ -170,9 +176,7 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   // What vision says of how it strays, of the two the worse.
   const double rotation_rate = std::sqrt(std::max(at_i.rotation_rate, at_j.rotation_rate));
   const double position_rate = std::sqrt(std::max(at_i.position_rate, at_j.position_rate));
-  const double moved = std::hypot((at_j.camera - at_i.camera).norm() / at_j.depth,
-                                  (at_j.R_map_cam - at_i.R_map_cam).norm() / std::sqrt(2.0));
-  const double moving = std::clamp(moved / model.still, model.at_rest, 1.0);
+  const double moving = moving_share(at_i, at_j, model);
   weigh(15, 1, root * moving * std::hypot(model.scale_walk, model.scale_stray * position_rate / at_j.depth));
   weigh(16, 2, root * moving * std::hypot(model.up_walk, model.up_stray * rotation_rate));
   weigh(18, 3, model.mounting_walk * root);

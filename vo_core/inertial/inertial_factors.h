@@ -121,6 +121,10 @@ struct InertialModel {
 /// How far vision strays in a root of a second, as it says itself at one moment [map units].
 double position_stray(const VisionSight& sight, const InertialModel& model);
 
+/// How much of a full share of its strays vision strays by between two moments: 1 where the camera moves,
+/// InertialModel::at_rest at the least.
+double moving_share(const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model);
+
 /// Rows of the residual between two moments: inertial (turn, speed, way), slow parts, change of vision's error.
 constexpr int kPairRows = 9 + 16 + 6;
 using PairResidual = Eigen::Matrix<double, kPairRows, 1>;

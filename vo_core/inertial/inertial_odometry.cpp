@@ -239,6 +239,16 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
     if (!smoother_.solve(2).ok) return;
   }
   begin(pose, smoother_.newest().up);
+  strayed2_ = 0;
+}
+
+void InertialOdometry::stray_on() {
+  const InertialNode &to = smoother_.node(smoother_.size() - 1), &from = smoother_.node(smoother_.size() - 2);
+  const double stray = std::max(position_stray(from.sight, options_.model), position_stray(to.sight, options_.model));
+  const double share = moving_share(from.sight, to.sight, options_.model);
+  // Not while it sees nothing.
+  const double seen_s = std::min(to.since_last.dt_s(), rt::to_seconds(options_.stray.age_ns));
+  strayed2_ += share * share * stray * stray * seen_s;
 }
 
 void InertialOdometry::set_prior(double accel_bias_sigma, double course_sigma) {
@@ -286,6 +296,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
       begin_window(pose);
     } else {
       anchor_.level(smoother_.newest().up);
+      stray_on();
     }
   }
   return metric() ? tell(pose) : MetricPose{};
@@ -306,7 +317,7 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
   to_nav.bottomRightCorner<2, 2>() = -(R_nav_map * (skew(x.up) * x.up_basis())).topRows<2>();
   Mat3 shared = doubt2() * to_nav * smoother_.covariance().block<3, 3>(S::kScale, S::kScale) * to_nav.transpose();
   shared(0, 0) += options_.told_scale_sigma * options_.told_scale_sigma;
-  MetricPose out = pose_in_frame(pose, x.scale(), shared);
+  MetricPose out = pose_in_frame(pose, x.scale(), shared, strayed2_);
   const double place =
       std::hypot(options_.model.position_sigma * x.scale() * pose.median_depth, options_.told_place_sigma_m);
   out.covariance.diagonal().head<3>().array() += place * place;

@@ -112,6 +112,8 @@ class InertialOdometry : public MetricMap {
   /// Biases and mounting are no further from what they were taken to be at first.
   bool plausible(double most_sigmas);
   bool convincing(const InertialSmoother::Report& report);
+  /// What vision strayed by from the moment before to the newest one, as the window counts with it.
+  void stray_on();
   MetricPose tell(const VisualPose& pose);
   void tell_velocity(const VisualPose& pose, MetricPose* out) const;
   VisionSight sight_of(const VisualPose& pose, rt::TimeNs t_ns) const;
@@ -136,6 +138,7 @@ class InertialOdometry : public MetricMap {
   /// And by how much that stands apart from what the window knows without it: squared, in sigmas; 1 where it is less,
   /// or nothing was taken. As long as the word counts, long after who gave it fell silent.
   double dispute2_ = 1;
+  double strayed2_ = 0;  ///< what vision's places strayed by since the map became metric [map units^2, an axis]
   // The vertical of the last attempt to begin, if that was sure of it; else zero.
   Vec3 attempt_up_ = Vec3::Zero();
   double attempt_up_sigma_ = 0;

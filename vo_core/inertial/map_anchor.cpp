@@ -51,13 +51,19 @@ Eigen::Matrix<double, 6, 3> MapAnchor::shared_errors(const Vec3& way) {
   return J;
 }
 
-Mat6 MapAnchor::grown(const MapPose& pose, double scale) const {
+Mat6 MapAnchor::grown(const MapPose& pose, double scale, double strayed2) const {
   const Mat6 to_here = adjoint(pose.T_map_cam.inverse() * anchor_map_);
   const Mat6 difference = pose.covariance - to_here * anchor_covariance_ * to_here.transpose();
   // The map may know both better by now than it said of the anchor then: no less than nothing.
   const Eigen::SelfAdjointEigenSolver<Mat6> eigen(0.5 * (difference + difference.transpose()));
   const Mat6& axes = eigen.eigenvectors();
-  const Mat6 own = axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose() + pose.own_covariance;
+  Mat6 own = axes * eigen.eigenvalues().cwiseMax(0.0).asDiagonal() * axes.transpose();
+  if (strayed2 > 0) {
+    const Eigen::SelfAdjointEigenSolver<Mat3> places(own.topLeftCorner<3, 3>());
+    const Vec3 missing = (Vec3::Constant(strayed2) - places.eigenvalues()).cwiseMax(0.0);
+    own.topLeftCorner<3, 3>() += places.eigenvectors() * missing.asDiagonal() * places.eigenvectors().transpose();
+  }
+  own += pose.own_covariance;
   const Mat3 R_nav_cam = R_nav_map_ * pose.T_map_cam.R;
   Mat6 to_nav = Mat6::Zero();
   to_nav.topLeftCorner<3, 3>() = scale * R_nav_cam;

@@ -33,8 +33,10 @@ class MapAnchor {
   /// The way from the anchor [m].
   Vec3 way(const SE3& T_map_cam, double scale) const { return scale * (R_nav_map_ * (T_map_cam.t - anchor_map_.t)); }
   /// Vision's own: covariance of (place [m], rotation vector) along the frame's axes, without what was wrong at the
-  /// anchor already: that is in the frame's origin and heading.
-  Mat6 grown(const MapPose& pose, double scale) const;
+  /// anchor already: that is in the frame's origin and heading. strayed2: what places strayed by since the anchor, if
+  /// others know that [map units^2, an axis]. The tracker's word and that one are of the same walk: of the two the
+  /// larger along each axis counts, and this picture's own noise comes on top.
+  Mat6 grown(const MapPose& pose, double scale, double strayed2 = 0) const;
 
  private:
   Mat3 R_nav_map_ = Mat3::Identity();

@@ -38,7 +38,7 @@ void MetricMap::correct(const VisualPose& pose, const Vec3& up) {
   corrected_turn_ = so3_log(anchor_.R_nav_map() * last_map_.R * last_nav_.R.transpose());
 }
 
-MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared) {
+MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared, double strayed2) {
   MetricPose out;
   out.valid = true;
   out.T_nav_cam = anchor_.in_nav(pose.T_map_cam, scale);
@@ -53,7 +53,7 @@ MetricPose MetricMap::pose_in_frame(const VisualPose& pose, double scale, const 
   corrected_by_.setZero();
   corrected_turn_.setZero();
   const auto J = MapAnchor::shared_errors(anchor_.way(pose.T_map_cam, scale));
-  out.covariance = J * shared * J.transpose() + anchor_.grown(pose, scale);
+  out.covariance = J * shared * J.transpose() + anchor_.grown(pose, scale, strayed2);
   out.log_scale_sigma = std::sqrt(shared(0, 0));
   told_ = have_nav_ = true;
   last_map_ = pose.T_map_cam;

@@ -105,8 +105,8 @@ class MetricMap {
     return {t_last_ns - stray_.strayed_ns(), t_last_ns, last_camera, pose.turned_by, pose.moved_by};
   }
   /// The pose in the frame, with what moved the last one; no velocity. shared: covariance of the scale's logarithm and
-  /// of the vertical about the frame's x and y; to it comes vision's own.
-  MetricPose pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared);
+  /// of the vertical about the frame's x and y; to it comes vision's own (MapAnchor::grown).
+  MetricPose pose_in_frame(const VisualPose& pose, double scale, const Mat3& shared, double strayed2 = 0);
   /// A pose was told in the present frame.
   bool told() const { return told_; }
 
