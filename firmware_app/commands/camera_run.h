@@ -16,14 +16,24 @@
 
 namespace godwit::app {
 
-/// How a run goes and what its summary says of it.
-struct CameraRunPlan {
-  std::string source;            ///< sequence or scenario, for the summary
-  std::string calibration_name;  ///< file or scenario, for errors
-  std::string out;
+/// What a command line says of a run, wherever its pictures come from.
+struct RunOptions {
+  std::string out = "out";
   std::string pace = "max";
   bool sequential = false;
   std::int64_t start = 0;
+  std::int64_t frames = 0;  ///< pictures; 0: all
+  std::string view;         ///< folder for pictures of what was seen; empty: none
+  std::int64_t view_every = 30;
+  std::string events;    ///< folder for the event recorder; empty: there is none
+  std::string log;       ///< folder for the flight log; empty: there is none
+  std::string as_flown;  ///< flight log that is flown again; empty: a flight of its own
+};
+
+/// How a run goes and what its summary says of it.
+struct CameraRunPlan : RunOptions {
+  std::string source;              ///< sequence or scenario, for the summary
+  std::string calibration_name;    ///< file or scenario, for errors
   std::int64_t total = 0;          ///< pictures to come, for the progress bar
   MaskSource* masks = nullptr;     ///< dynamic pixels from elsewhere; null: the detector's, where it is enabled
   hal::Imu* imu = nullptr;         ///< read and watched beside the camera; null: none
@@ -33,12 +43,6 @@ struct CameraRunPlan {
   bool aided = false;              ///< the attitude among `aids` is, and they are the same without an IMU
   bool gyro_helps = true;          ///< vision, too; see OdometryOptions
   FrameSink* beside = nullptr;     ///< hears each record, too; null: nobody
-  std::string view;                ///< folder for pictures of what was seen; empty: none
-  std::int64_t view_every = 30;
-  std::string events;       ///< folder for the event recorder; empty: there is none
-  std::string log;          ///< folder for the flight log; empty: there is none
-  std::string as_flown;     ///< flight log that is flown again; empty: none is
-  std::int64_t frames = 0;  ///< pictures that were asked for; 0: all
 };
 
 /// Says on the error stream what is wrong and returns kExitRefused.

@@ -74,12 +74,9 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   if (camera.left() == 0)
     return refuse("--start " + std::to_string(a.run.start) + ": the flight has no more pictures than that");
   CameraRunPlan plan;
+  static_cast<RunOptions&>(plan) = a.run;
   plan.source = a.flight.scenario + ", seed " + std::to_string(a.flight.seed);
   plan.calibration_name = "scenario " + a.flight.scenario;
-  plan.out = a.run.out;
-  plan.pace = a.run.pace;
-  plan.sequential = a.run.sequential;
-  plan.start = a.run.start;
   plan.total = camera.left();
   plan.masks = camera.masks();
   plan.imu = imu.get();
@@ -87,12 +84,6 @@ int run_fly(const FlyArguments& a, const std::atomic<bool>& stop) {
   plan.inertial = a.run.imu == "on";
   plan.imu_errors = imu_errors;
   plan.aided = tells_attitude(a.run);
-  plan.view = a.run.view;
-  plan.view_every = a.run.view_every;
-  plan.events = a.run.events;
-  plan.log = a.run.log;
-  plan.as_flown = a.run.as_flown;
-  plan.frames = a.run.frames;
   if (a.render_ahead) {
     if (const auto drawn = camera.render_ahead(stop); !drawn) {
       if (!stop.load(std::memory_order_relaxed)) return refuse(drawn.error().message);

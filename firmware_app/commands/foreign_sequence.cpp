@@ -11,6 +11,7 @@
 #include <unistd.h>
 #include <vector>
 
+#include "hal/atomic_file.h"
 #include "hal/machine/installed_data.h"
 
 namespace godwit::app {
@@ -22,6 +23,8 @@ constexpr int kNoInterpreter = 127;
 /// Grey left and right, colour left and right; the colour ones are a download of their own, so image_2 often lies
 /// alone.
 constexpr std::array kKittiPictures{"image_0", "image_1", "image_2", "image_3"};
+/// Tells a sequence that was made here from one that somebody keeps in a folder of that name.
+constexpr const char* kMark = "made_by_godwit.txt";
 
 bool is_kitti(const fs::path& folder) {
   std::error_code ignored;
@@ -65,6 +68,15 @@ rt::Result<void> run_tool(const std::string& name, const std::vector<std::string
   return rt::Error{name + " could not make a sequence of it; the reason stands above"};
 }
 
+rt::Result<void> leave_mark(const fs::path& made, const std::string& of) {
+  hal::AtomicFile file;
+  if (auto opened = file.open((made / kMark).string()); !opened) return opened;
+  const auto written = file.write("Made of " + of +
+                                  ". The next godwit replay of a video or of KITTI's folders with the same --out\n"
+                                  "makes this folder anew, as long as this file is in it.\n");
+  return written ? file.commit() : written;
+}
+
 }  // namespace
 
 rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCamera& camera, const std::string& out,
@@ -82,8 +94,12 @@ rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCame
   if (!camera.calibration.empty() && camera.fov_deg > 0) return rt::Error{"--camera and --fov: one of them"};
   const fs::path made = fs::path(out) / "sequence";
   // Only what an earlier run made there is taken away.
-  if (fs::exists(made, error) && !fs::exists(made / "rgb.txt", error) && !fs::is_empty(made, error))
-    return rt::Error{made.string() + ": is in the way, and no sequence"};
+  if (fs::exists(made, error) && !fs::exists(made / kMark, error) &&
+      (!fs::is_directory(made, error) || !fs::is_empty(made, error)))
+    return rt::Error{made.string() + ": is in the way, and not made by an earlier run: another --out, or move it"};
+  const fs::path inside = fs::weakly_canonical(sequence, error).lexically_relative(fs::weakly_canonical(made, error));
+  if (!inside.empty() && *inside.begin() != "..")
+    return rt::Error{sequence + ": lies in " + made.string() + ", which would be made anew: another --out"};
   fs::remove_all(made, error);
   fs::create_directories(out, error);
   if (error) return rt::Error{out + ": cannot make the folder: " + error.message()};
@@ -91,8 +107,12 @@ rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCame
   std::vector<std::string> words{sequence, made.string()};
   if (!camera.calibration.empty()) words.insert(words.end(), {"--camera", camera.calibration});
   if (camera.fov_deg > 0) words.insert(words.end(), {"--fov", fmt::format("{}", camera.fov_deg)});
-  if (auto ran = run_tool(video ? "from_video" : "from_kitti", words, stop); !ran) return ran.error();
-  return made.string();
+  auto done = run_tool(video ? "from_video" : "from_kitti", words, stop);
+  if (done) done = leave_mark(made, sequence);
+  if (done) return made.string();
+  // Half a sequence would be in the way of the next run.
+  fs::remove_all(made, error);
+  return done.error();
 }
 
 }  // namespace godwit::app

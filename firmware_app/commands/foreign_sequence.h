@@ -15,8 +15,9 @@ struct VideoCamera {
 };
 
 /// The folder to fly: `sequence` itself where it is one or nothing is known of it; else OUT/sequence, made anew by
-/// from_video or from_kitti, which come with godwit. Those tell what they do and what is wrong on the error stream; in
-/// the error of the result it is in a word. Runs a program and waits for it; *stop ends it.
+/// from_video or from_kitti, which come with godwit, where nothing or what an earlier run made is there. Those tell
+/// what they do and what is wrong on the error stream; in the error of the result it is in a word. Runs a program and
+/// waits for it; *stop ends it.
 rt::Result<std::string> as_sequence(const std::string& sequence, const VideoCamera& camera, const std::string& out,
                                     const std::atomic<bool>& stop);
 

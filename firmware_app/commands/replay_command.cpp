@@ -303,24 +303,15 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   }
   const hal::CameraCalibration& calibration = camera.value()->calibration();
   CameraRunPlan plan;
+  static_cast<RunOptions&>(plan) = a;
   plan.source = sequence.value();
   plan.calibration_name = camera.value()->layout().calibration_file;
-  plan.out = a.out;
-  plan.pace = a.pace;
-  plan.sequential = a.sequential;
-  plan.start = a.start;
   plan.total = camera.value()->total();
   plan.imu = imu.get();
   plan.aids = aids.get();
   plan.inertial = a.imu == "on";
   plan.imu_errors = imu_errors;
   plan.aided = tells_attitude(a);
-  plan.view = a.view;
-  plan.view_every = a.view_every;
-  plan.events = a.events;
-  plan.log = a.log;
-  plan.as_flown = a.as_flown;
-  plan.frames = a.frames;
   if (a.write_calibration.empty()) return run_camera(camera.value().get(), calibration, config, plan, stop);
   TurnListener turns;
   plan.beside = &turns;

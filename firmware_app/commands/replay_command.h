@@ -6,31 +6,22 @@
 #include <cstdint>
 #include <string>
 
+#include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/foreign_sequence.h"
 #include "firmware_app/config/config.h"
 
 namespace godwit::app {
 
-struct ReplayArguments {
+struct ReplayArguments : RunOptions {
   std::string sequence;
-  VideoCamera video;        ///< replay only
-  std::string config_file;  ///< empty: defaults
-  std::string out = "out";
-  std::string pace = "max";
-  bool sequential = false;
-  std::int64_t start = 0;
-  std::int64_t frames = 0;        ///< 0: all
+  VideoCamera video;              ///< replay only
+  std::string config_file;        ///< empty: defaults
   std::string write_calibration;  ///< file; empty: none. replay only
   std::int64_t loop = 1;          ///< passes, forth and back in turn; replay only
   std::string detector, gate;     ///< "on" or "off"; empty: as the configuration file says, off where it does not
   std::string imu = "off";
   std::string aids;  ///< --aids: what else tells lengths; empty: nothing
   std::string model;
-  std::string view;  ///< empty: no pictures
-  std::int64_t view_every = 30;
-  std::string events;        ///< empty: no event recorder
-  std::string log;           ///< folder for a flight log; empty: there is none
-  std::string as_flown;      ///< flight log that is flown again; empty: a flight of its own
   std::string can, mavlink;  ///< empty: as configured
   bool bench_metric = false;
 };

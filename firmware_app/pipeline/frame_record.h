@@ -92,7 +92,7 @@ struct InertialRecord {
 struct FrameRecord {
   std::uint32_t sequence = 0;
   FrameFate fate = FrameFate::kProcessed;
-  bool tracked = false;   ///< at least 30 image measurements updated the pose
+  bool tracked = false;   ///< HealthOptions::min_measurements updated the pose
   bool has_pose = false;  ///< a pose was given out: tracked or coasted
   bool repeated = false;  ///< the picture is the one before, bit for bit: nothing was measured, the state stands
   bool is_keyframe = false;

@@ -132,6 +132,11 @@ def table(runs, judged, colours):
     return f'<div class="scroll"><table>{body}</table></div>'
 
 
+def least_features(runs):
+    least = sorted({run.least_features() for run in runs} - {None})
+    return f'A frame counts as tracked with at least {" or ".join(map(str, least))} features (dashed). ' if least else ''
+
+
 def event_text(e):
     """As the programs tell it (firmware_app/output/event_line.cpp)."""
     change = ' → '.join(x for x in (e.get('before'), e.get('which')) if x)
@@ -192,8 +197,7 @@ def write(runs, judged, colours, pictures, views, notes):
                 shown('scale', 'local scale over time'), 'scale'),
         section('What the covariance says', 'Rotation and direction of translation relative to the reference keyframe. Above 1, '
                 'and below the diagonal: too sure; the other way: too careful.', shown('consistency', 'consistency'), 'consistency'),
-        section('States and reasons', 'A frame counts as tracked with at least 30 features (dashed). Triangles are events other '
-                'than a change of state.', shown('timeline', 'states over time') + events(runs), 'states'),
+        section('States and reasons', least_features(runs) + 'Triangles are events other than a change of state.', shown('timeline', 'states over time') + events(runs), 'states'),
         section('Time', 'Of tracked frames. Both axes of the histograms are logarithmic, so that the rare and slow ones are seen. The outline is '
                 'what the thread computed itself: what lies to the right of it, others had of the machine.',
                 shown('latency', 'latency histogram'), 'latency'),

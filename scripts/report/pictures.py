@@ -199,7 +199,8 @@ def timeline(runs):
                    label='not flown' if (~flown).any() else None)
         if (~flown).any():
             curve.legend(fontsize=8, loc='upper right')
-        curve.axhline(30, color=BAD, lw=0.9, ls='--')
+        if (least := run.least_features()) is not None:
+            curve.axhline(least, color=BAD, lw=0.9, ls='--')
         curve.set(ylabel='features', ylim=(0, None))
     axes[-1, 0].set_xlim(0, end_of(runs))
     axes[-1, 0].set_xlabel('time [s]')

@@ -8,6 +8,7 @@ import dataclasses
 import json
 import math
 import pathlib
+import re
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class Run:
     def column(self, name):
         """A column of frames.csv; NaN where it is empty."""
         return np.array([float(f[name]) if f.get(name) else np.nan for f in self.frames])
+
+    def least_features(self):
+        """Without how many features a frame of this run does not count as tracked, as its reasons tell; None: none does."""
+        told = (re.fullmatch(r'tracking(?:,[^:]*)?: \d+ of (\d+)', f['reason']) for f in self.frames)
+        return next((int(match.group(1)) for match in told if match), None)
 
 
 def entries(folder):

@@ -128,6 +128,16 @@ class Demo(stand_in.StandInTest):
         self.ends_with_a_report(self.run_it('--fast', 'mine', '--pace=real'))
         self.assertFalse(old.exists())
 
+    def test_what_an_earlier_one_made_is_not_flown_and_lost(self):
+        made = self.root / 'out/demo/sequence'
+        made.mkdir(parents=True)
+        (self.folder / 'link').symlink_to(made)
+        for name in (str(made), 'link'):
+            done = self.run_it('--fast', name)
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertIn('move it elsewhere first', done.stderr)
+            self.assertTrue(made.is_dir())
+
     def test_a_folder_that_is_not_there(self):
         done = self.run_it('--fast', 'gone')
         self.assertEqual(done.returncode, 2)

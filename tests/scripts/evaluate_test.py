@@ -112,6 +112,31 @@ class Evaluate(unittest.TestCase):
         result, _ = evaluate.evaluate(self.folder / 'truth.txt', self.folder)
         self.assertGreater(result['ate_m'], 0.1)
 
+    def test_what_is_no_run_and_no_truth_is_said_with_file_and_line(self):
+        t, p = curve(301)
+        run = self.folder / 'run'
+        run.mkdir()
+        truth = self.folder / 'truth.txt'
+
+        def told(words, truth=truth):
+            done = subprocess.run([str(ROOT / 'scripts/evaluate'), str(truth), str(run)], capture_output=True, text=True, check=False)
+            self.assertEqual((done.returncode, done.stdout), (1, ''))
+            self.assertIn(words, done.stderr)
+            self.assertEqual(len(done.stderr.splitlines()), 1, done.stderr)
+        told('run: holds no whole run of godwit: frames.csv is not there')
+        write_run(run, t, p, [1] * len(t))
+        told('gone.txt: No such file', self.folder / 'gone.txt')
+        (self.folder / 'empty.txt').write_text('# nothing\n')
+        told('empty.txt: 0 poses are no truth', self.folder / 'empty.txt')
+        (self.folder / 'camera.yaml').write_text('# a camera\nmodel: pinhole\n')
+        told('camera.yaml:2: could not convert', self.folder / 'camera.yaml')
+        (run / 'trajectory.tum').write_text('1 2 3\n')
+        told('trajectory.tum:1: 3 numbers, 9 are wanted')
+        (run / 'trajectory.tum').write_text('0 0 0 0 0 0 0 1 1\n')
+        for text, words in (('', 'not of one run'), ('x,y\n1,2\n', 'tracked is not 0 or 1')):
+            (run / 'frames.csv').write_text(text)
+            told(words)
+
     def test_no_pose_at_all(self):
         write_run(self.folder, [], [], [], untracked_before=5)
         result, curves = evaluate.evaluate(self.folder / 'truth.txt', self.folder)

@@ -67,6 +67,7 @@ class FromVideo(unittest.TestCase):
         self.assertEqual((done.returncode, done.stdout), (2, ''), done.stderr)
         self.assertIn(word, done.stderr)
         self.assertNotIn('Traceback', done.stderr)
+        self.assertNotIn('OpenCV(', done.stderr)  # what OpenCV says of its tries
         self.assertFalse((self.out / 'rgb.txt').exists())
 
     def test_a_film_of_a_flight_is_flown(self):
@@ -121,13 +122,20 @@ class FromVideo(unittest.TestCase):
         done = run(self.folder / 'bin/godwit', 'replay', self.video, '--fov', 70, '--out', self.folder / 'other')
         self.assertEqual(done.returncode, 2)
         self.assertIn('install the package godwit-tools', done.stderr)
-        # What is not a sequence of ours is not taken away.
-        (self.folder / 'mine/sequence').mkdir(parents=True)
-        (self.folder / 'mine/sequence/thesis.txt').write_text('years of work')
-        done = run(GODWIT, 'replay', self.video, '--fov', 70, '--out', self.folder / 'mine')
+        shutil.copy2(self.video, flown / 'sequence')
+        done = run(GODWIT, 'replay', flown / 'sequence' / self.video.name, '--fov', 70, '--out', flown)
         self.assertEqual(done.returncode, 2)
-        self.assertIn('in the way', done.stderr)
-        self.assertTrue((self.folder / 'mine/sequence/thesis.txt').exists())
+        self.assertTrue((flown / 'sequence' / self.video.name).is_file())
+        # What was not made there by an earlier run is not taken away, be it a sequence or not; what was begun in vain is.
+        mine = self.folder / 'mine/sequence'
+        mine.mkdir(parents=True)
+        for name in ('thesis.txt', 'rgb.txt'):
+            (mine / name).write_text('years of work')
+            done = run(GODWIT, 'replay', self.video, '--fov', 70, '--out', self.folder / 'mine')
+            self.assertEqual(done.returncode, 2)
+            self.assertIn('in the way', done.stderr)
+            self.assertTrue((mine / name).exists())
+        self.assertFalse((self.folder / 'other/sequence').exists())
 
     def test_times_and_pictures(self):
         self.little()

@@ -321,6 +321,13 @@ class Report(unittest.TestCase):
         text = (run / 'report/report.html').read_text()
         self.assertIn(f'{taken} of 80 pictures {said}', text[:text.index('The way flown')])
 
+    def test_the_features_that_a_frame_needs_are_those_of_the_run(self):
+        least = int(re.search(r'int min_measurements = (\d+);', (ROOT / 'vo_core/tracking/health.h').read_text()).group(1))
+        words = f'counts as tracked with at least {least} features (dashed)'
+        self.assertTrue(words in (self.folder / 'page/report.html').read_text(), words)
+        for page in ('docs/formats.md', 'docs/figures.schema.json', 'benchmarks/conditions'):
+            self.assertRegex((ROOT / page).read_text(), rf'at least {least} (image )?measurements', page)
+
     def test_a_run_without_one_tracked_frame(self):
         run = self.folder / 'blind'
         subprocess.run([str(GODWIT), 'fly', 'street', '--sequential', '--frames', '3', '--out', str(run)], check=True,

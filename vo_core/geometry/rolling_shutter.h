@@ -22,4 +22,15 @@ inline Vec2 rolling_displacement(const RollingShutter& shutter, int height, cons
   return J * (tau * (velocity.head<3>() + velocity.tail<3>().cross(p_cam)));
 }
 
+/// Where a global shutter would have seen the point that was seen at `px` [px] and lies at p_cam in the camera frame at
+/// capture time; px itself where p_cam does not project. No allocation.
+inline Vec2f global_pixel(const RollingShutter& shutter, const CameraModel& camera, const Vec2f& px, const Vec3& p_cam,
+                          const Vec6& velocity) {
+  Vec2 unused;
+  Mat23 J;
+  if (shutter.readout_s <= 0.0 || !camera.project(p_cam, &unused, &J)) return px;
+  const Vec2 moved = rolling_displacement(shutter, camera.height(), p_cam, J, static_cast<double>(px.y()), velocity);
+  return px - moved.cast<float>();
+}
+
 }  // namespace godwit::vo

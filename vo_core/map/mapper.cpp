@@ -146,14 +146,9 @@ Vec2 Mapper::displacement(const Vec3& p_cam, const Vec6& velocity) const {
   return rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
 }
 
-Vec2f Mapper::to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const {
-  if (options_.shutter.readout_s <= 0.0) return px;
-  Vec2 unused;
-  Mat23 J;
-  if (!camera_.project(p_cam, &unused, &J)) return px;
-  const Vec2 moved =
-      rolling_displacement(options_.shutter, camera_.height(), p_cam, J, static_cast<double>(px.y()), kf.velocity);
-  return px - moved.cast<float>();
+void Mapper::place_feature(KeyframeFeature* f, const Keyframe& kf, const Vec3& p_cam) const {
+  f->px_global = global_pixel(options_.shutter, camera_, f->px, p_cam, kf.velocity);
+  f->bearing = camera_.unproject(f->px_global.cast<double>());
 }
 
 void Mapper::adjust(int place) {

@@ -104,7 +104,9 @@ class Mapper {
   /// By what the rolling shutter of a picture taken at this velocity moves a point that lies here in its camera's
   /// frame.
   Vec2 displacement(const Vec3& p_cam, const Vec6& velocity) const;
-  Vec2f to_global(const Keyframe& kf, const Vec2f& px, const Vec3& p_cam) const;
+  /// Pixel and ray that a global shutter would have given the feature of this keyframe, whose point lies here in its
+  /// camera's frame.
+  void place_feature(KeyframeFeature* f, const Keyframe& kf, const Vec3& p_cam) const;
   void remove_point(PointHandle h);
   void remove_observation(int place, int feature);
 

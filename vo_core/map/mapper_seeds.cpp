@@ -86,9 +86,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     seed->feature.level = found[i].level;
     seed->feature.type = found[i].type;
     // What the rolling shutter did to it is mostly a turn's doing, and that is the same at any depth.
-    seed->feature.px_global =
-        to_global(kf, found[i].px, m.median_depth * camera_.unproject(found[i].px.cast<double>()));
-    seed->feature.bearing = camera_.unproject(seed->feature.px_global.cast<double>());
+    place_feature(&seed->feature, kf, m.median_depth * camera_.unproject(found[i].px.cast<double>()));
     seed->misses = seed->matches = 0;
     seed->agreed = {};
     seed->estimate = DepthEstimate::prior(m.median_depth, m.min_depth);
@@ -194,8 +192,7 @@ bool Mapper::seed_to_point(Seed* seed) {
   if (!h.valid()) return false;
   // Only now is its depth known, and with it all that the rolling shutter did to it.
   KeyframeFeature& f = seed->feature;
-  f.px_global = to_global(host, f.px, f.bearing / seed->estimate.inv_depth);
-  f.bearing = camera_.unproject(f.px_global.cast<double>());
+  place_feature(&f, host, f.bearing / seed->estimate.inv_depth);
   const Vec3 p = host.T_kf_world.inverse() * (f.bearing / seed->estimate.inv_depth);
   map_.activate_point(h, p);
   seed->feature.point = h;
@@ -249,9 +246,8 @@ void Mapper::find_observations(PointHandle h, int host) {
     if (!m.found || (m.px - px.cast<float>()).norm() > 3.0f * level_scale(m.level)) continue;
     KeyframeFeature f;
     f.px = m.px;
-    f.px_global = to_global(kf, m.px, kf.T_kf_world * point.p_world);
+    place_feature(&f, kf, kf.T_kf_world * point.p_world);
     f.gradient = m.gradient;
-    f.bearing = camera_.unproject(f.px_global.cast<double>());
     f.level = static_cast<std::int8_t>(m.level);
     f.type = source_feature.type;
     f.point = h;

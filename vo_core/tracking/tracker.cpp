@@ -33,17 +33,6 @@ std::span<const FrameFeature> Tracker::features() const {
   return std::span(features_).first(feature_count_);
 }
 
-void Tracker::free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const {
-  f->px_global = f->px;
-  if (options_.shutter.readout_s <= 0.0) return;
-  Vec2 unused;
-  Mat23 J;
-  if (!camera_.project(p_cam, &unused, &J)) return;
-  const Vec2 moved =
-      rolling_displacement(options_.shutter, camera_.height(), p_cam, J, static_cast<double>(f->px.y()), velocity);
-  f->px_global -= moved.cast<float>();
-}
-
 double Tracker::scene_depth(const SE3& T_cam_world, double* min_depth) {
   std::array<float, kMaxFrameFeatures> depth;
   int n = 0;

@@ -217,7 +217,6 @@ class Tracker {
   bool send_reset();
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
   int insert_keyframe(const Frame& frame, std::uint32_t id);
-  void free_of_rolling_shutter(FrameFeature* f, const Vec3& p_cam, const Vec6& velocity) const;
   void take_points(SeenPoints* points) const;
   double scene_depth(const SE3& T_cam_world, double* min_depth);
   void retire(Frame* frame);

@@ -97,7 +97,8 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   for (int i = 0; i < r.matches; ++i) {
     PoseMeasurement& m = measurements_[i];
     m.p_world = map_->point(found[i].point.index).p_world;
-    free_of_rolling_shutter(&found[i], frame->T_cam_world * m.p_world, frame->velocity);
+    found[i].px_global =
+        global_pixel(options_.shutter, camera_, found[i].px, frame->T_cam_world * m.p_world, frame->velocity);
     m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
