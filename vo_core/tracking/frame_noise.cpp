@@ -10,14 +10,45 @@ namespace godwit::vo {
 namespace {
 constexpr double kKept = 0.95;  ///< of the sums a frame later: an average over some 20 frames
 constexpr int kFewest = 16;     ///< corners, two a band
-/// A camera that strays by more than two sigmas of a measurement is not told from people who cross the picture.
-constexpr double kMostShake = 4.0;
+constexpr int kColumns = 4;     ///< parts of a band: who stands before two of them leaves the next but one alone
+
+/// What strays alike in parts of a band that do not lie beside each other.
+class AcrossRows {
+ public:
+  /// psi, slope: of the residual over its sigma; place: from 0 at the left to 1.
+  void add(const Vec2& psi, double slope, double place, std::size_t band) {
+    const auto at = static_cast<std::size_t>(std::clamp(static_cast<int>(place * kColumns), 0, kColumns - 1));
+    sums_[band][at] += psi;
+    slopes_[band][at] += slope;
+  }
+  /// Sum over pairs of the products of what both are off by, and of their weights: their ratio is the variance of a
+  /// coordinate.
+  void products(double* alike, double* pairs) const {
+    for (std::size_t k = 0; k < ResidualSpread::kBands; ++k) {
+      for (std::size_t a = 0; a + 2 < kColumns; ++a) {
+        for (std::size_t b = a + 2; b < kColumns; ++b) {
+          *alike += sums_[k][a].dot(sums_[k][b]);
+          *pairs += 2.0 * slopes_[k][a] * slopes_[k][b];
+        }
+      }
+    }
+  }
+
+ private:
+  std::array<std::array<Vec2, kColumns>, ResidualSpread::kBands> sums_ = [] {
+    std::array<std::array<Vec2, kColumns>, ResidualSpread::kBands> none;
+    for (auto& band : none) band.fill(Vec2::Zero());
+    return none;
+  }();
+  std::array<std::array<double, kColumns>, ResidualSpread::kBands> slopes_{};
+};
 }  // namespace
 
 FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<const PoseMeasurement> measurements,
                                        const SE3& T_cam_world, double weight_scale) {
   constexpr int kBands = ResidualSpread::kBands;
   ResidualSpread spread;
+  AcrossRows across;
   Mat6 H = Mat6::Zero();
   std::array<Mat26, kBands> in_band;  // sums of the Jacobians over stated sigmas
   std::array<int, kBands> count{};
@@ -43,7 +74,9 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
     }
     // psi = r (1 - v)^2; its derivative is (1 - v)(1 - 5 v) along r and (1 - v)^2 across.
     const double slope = edgelet ? (1.0 - v) * (1.0 - 5.0 * v) : (1.0 - v) * (1.0 - 3.0 * v);
-    spread.add(r * (inv_sigma * (1.0 - v) * (1.0 - v)), slope, edgelet ? 1 : 2, row);
+    const Vec2 psi = r * (inv_sigma * (1.0 - v) * (1.0 - v));
+    spread.add(psi, slope, edgelet ? 1 : 2, row);
+    if (!edgelet) across.add(psi, slope, m.px.x() / camera.width(), ResidualSpread::band(row));
   }
   spread.close_picture();
   FrameCovariance out;
@@ -81,7 +114,12 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   const double strayed = std::max(0.0, sums_ - independent_) / (2.0 * squares_ * kLeft);
   const Eigen::Matrix<double, 6, 2> moved = H_inv * J_all.transpose();
   out.strayed = strayed / stated * moved * moved.transpose();
-  shake_ = std::min(strayed, kMostShake);
+  double alike = 0.0, pairs = 0.0;
+  across.products(&alike, &pairs);
+  alike_ = kKept * alike_ + stated * alike;
+  pairs_ = kKept * pairs_ + pairs;
+  // Here as it is: what a pose has taken for its own is in no residual.
+  shake_ = pairs_ > 0.0 ? std::max(0.0, alike_ / pairs_) : 0.0;
   return out;
 }
 

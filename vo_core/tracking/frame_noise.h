@@ -20,15 +20,17 @@ struct FrameCovariance {
 class FrameNoise {
  public:
   explicit FrameNoise(bool rolling_shutter) : rolling_(rolling_shutter) {}
-  void reset() { sums_ = independent_ = squares_ = shake_ = 0.0; }
+  void reset() { sums_ = independent_ = squares_ = alike_ = pairs_ = shake_ = 0.0; }
 
-  /// By how much a camera that shakes within a readout has rows of a picture stray together from where the pose has them: the
-  /// variance of a coordinate, in units of a measurement's own. A measurement's variance is 1 + shake() times what the patch
-  /// alone makes of it, and is to be stated as that. 0 with a global shutter.
+  /// By how much a camera that shakes within a readout has whole rows of a picture stray from where the pose has them:
+  /// the variance of a coordinate, in units of a measurement's own. What strays on one side only is something that
+  /// moves. A measurement's variance is 1 + shake() times what the patch alone makes of it, and is to be stated as
+  /// that. 0 with a global shutter.
   double shake() const { return shake_; }
 
   /// Of the pose that minimises Tukey's biweight of the measurements' residuals over `weight_scale` stated sigmas
-  /// (pose_optimizer.h); their sigmas are as shake() says. Bounded by the measurements. Identity when they do not determine the pose.
+  /// (pose_optimizer.h); their sigmas are as shake() says. Bounded by the measurements. Identity when they do not
+  /// determine the pose.
   FrameCovariance covariance(const CameraModel& camera, std::span<const PoseMeasurement> measurements,
                              const SE3& T_cam_world, double weight_scale);
 
@@ -36,6 +38,7 @@ class FrameNoise {
   bool rolling_;
   // What one picture tells of its bands hangs on a dozen sums: averaged over the last second or so.
   double sums_ = 0.0, independent_ = 0.0, squares_ = 0.0;
+  double alike_ = 0.0, pairs_ = 0.0;
   double shake_ = 0.0;
 };
 
