@@ -112,7 +112,8 @@ TEST(FrameNoise, OfACameraThatShakesWithinTheReadoutIsNearlyTrue) {
   EXPECT_GT(as_global, 1.3 * told);
 }
 
-// A propeller out of balance, 85 Hz and 0.9 px: poses were taken for wrong, and lost, by a noise that nobody had stated.
+// A propeller out of balance, 85 Hz and 0.9 px: poses were taken for wrong, and lost, by a noise that nobody had
+// stated.
 TEST(FrameNoise, AShakingCameraIsAsNoisyAsItIsSaidToBe) {
   const CameraModel camera = test::euroc();
   std::mt19937 random(5);

@@ -179,7 +179,8 @@ struct SyntheticScene {
                      b = board.half_height * (side < 2 ? across : -along);
         const Vec3 p = T_cam_world * (board.centre + a * board.right + b * board.down);
         Vec2 px;
-        if (p.z() < 0.2 * p.norm() || !camera.project(p, &px)) return {&board, -kInfinite, kInfinite, -kInfinite, kInfinite};
+        if (p.z() < 0.2 * p.norm() || !camera.project(p, &px))
+          return {&board, -kInfinite, kInfinite, -kInfinite, kInfinite};
         out.left = std::min(out.left, px.x() - kMargin);
         out.right = std::max(out.right, px.x() + kMargin);
         out.top = std::min(out.top, px.y() - kMargin);
