@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "vo_core/geometry/residual_spread.h"
 
@@ -116,10 +117,15 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   out.strayed = strayed / stated * moved * moved.transpose();
   double alike = 0.0, pairs = 0.0;
   across.products(&alike, &pairs);
-  alike_ = kKept * alike_ + stated * alike;
-  pairs_ = kKept * pairs_ + pairs;
+  if (!(pairs > 0.0)) return out;
   // Here as it is: what a pose has taken for its own is in no residual.
-  shake_ = pairs_ > 0.0 ? std::max(0.0, alike_ / pairs_) : 0.0;
+  const double now = stated * alike / pairs;
+  alike_ = kKept * alike_ + now;
+  alike_square_ = kKept * alike_square_ + now * now;
+  weight_ = kKept * weight_ + 1.0;
+  const double pictures = (1.0 + kKept) * weight_;  // that such a mean is worth
+  const double mean = alike_ / weight_;
+  shake_ = mean > 3.0 * std::sqrt(alike_square_ / weight_ / pictures) ? mean : 0.0;
   return out;
 }
 

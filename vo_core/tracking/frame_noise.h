@@ -20,12 +20,13 @@ struct FrameCovariance {
 class FrameNoise {
  public:
   explicit FrameNoise(bool rolling_shutter) : rolling_(rolling_shutter) {}
-  void reset() { sums_ = independent_ = squares_ = alike_ = pairs_ = shake_ = 0.0; }
+  void reset() { sums_ = independent_ = squares_ = alike_ = alike_square_ = weight_ = shake_ = 0.0; }
 
   /// By how much a camera that shakes within a readout has whole rows of a picture stray from where the pose has them:
   /// the variance of a coordinate, in units of a measurement's own. What strays on one side only is something that
-  /// moves. A measurement's variance is 1 + shake() times what the patch alone makes of it, and is to be stated as
-  /// that. 0 with a global shutter.
+  /// moves, and what three sigmas of its mean over the last second do not tell from nothing is none. A measurement's
+  /// variance is 1 + shake() times what the patch alone makes of it, and is to be stated as that. 0 with a global
+  /// shutter.
   double shake() const { return shake_; }
 
   /// Of the pose that minimises Tukey's biweight of the measurements' residuals over `weight_scale` stated sigmas
@@ -38,7 +39,7 @@ class FrameNoise {
   bool rolling_;
   // What one picture tells of its bands hangs on a dozen sums: averaged over the last second or so.
   double sums_ = 0.0, independent_ = 0.0, squares_ = 0.0;
-  double alike_ = 0.0, pairs_ = 0.0;
+  double alike_ = 0.0, alike_square_ = 0.0, weight_ = 0.0;  // of one picture's shake
   double shake_ = 0.0;
 };
 
