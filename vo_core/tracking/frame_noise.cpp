@@ -18,30 +18,30 @@ class AcrossRows {
  public:
   /// psi, slope: of the residual over its sigma; place: from 0 at the left to 1.
   void add(const Vec2& psi, double slope, double place, std::size_t band) {
-    const auto at = static_cast<std::size_t>(std::clamp(static_cast<int>(place * kColumns), 0, kColumns - 1));
-    sums_[band][at] += psi;
-    slopes_[band][at] += slope;
+    const int column = std::clamp(static_cast<int>(place * kColumns), 0, kColumns - 1);
+    Part& part = parts_[band][static_cast<std::size_t>(column)];
+    part.x += psi.x();
+    part.y += psi.y();
+    part.slope += slope;
   }
   /// Sum over pairs of the products of what both are off by, and of their weights: their ratio is the variance of a
   /// coordinate.
   void products(double* alike, double* pairs) const {
-    for (std::size_t k = 0; k < ResidualSpread::kBands; ++k) {
+    for (const auto& band : parts_) {
       for (std::size_t a = 0; a + 2 < kColumns; ++a) {
         for (std::size_t b = a + 2; b < kColumns; ++b) {
-          *alike += sums_[k][a].dot(sums_[k][b]);
-          *pairs += 2.0 * slopes_[k][a] * slopes_[k][b];
+          *alike += band[a].x * band[b].x + band[a].y * band[b].y;
+          *pairs += 2.0 * band[a].slope * band[b].slope;
         }
       }
     }
   }
 
  private:
-  std::array<std::array<Vec2, kColumns>, ResidualSpread::kBands> sums_ = [] {
-    std::array<std::array<Vec2, kColumns>, ResidualSpread::kBands> none;
-    for (auto& band : none) band.fill(Vec2::Zero());
-    return none;
-  }();
-  std::array<std::array<double, kColumns>, ResidualSpread::kBands> slopes_{};
+  struct Part {
+    double x = 0.0, y = 0.0, slope = 0.0;
+  };
+  std::array<std::array<Part, kColumns>, ResidualSpread::kBands> parts_;
 };
 }  // namespace
 
