@@ -78,7 +78,7 @@ rt::Result<std::string> for_each_record(
     ++number;
     if (line.empty() || line.front() == '#') continue;
     const std::string reason = read_line(line, number);
-    const std::string words = name + ":" + std::to_string(number) + ": " + reason;
+    const std::string words = std::string(name).append(":").append(std::to_string(number)).append(": ").append(reason);
     if (!reason.empty() && cut_off && any) return words + "; the file breaks off there, what comes before is used";
     if (!reason.empty()) return rt::Error{words};
     any = true;

@@ -347,7 +347,8 @@ TEST(Godwitd, FindsPeopleInFlightAndSaysSo) {
     const test::TempFolder folder;
     const std::string sim = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = \"";
     const std::string network = "\"\n[detector]\nbackend = \"cuda\"\nmodel = \"";
-    Daemon daemon(write_config(folder, sim + GODWIT_SCENARIO_DIR + network + model + "\"\n"));
+    Daemon daemon(write_config(
+        folder, std::string(sim).append(GODWIT_SCENARIO_DIR).append(network).append(model).append("\"\n")));
     ASSERT_TRUE(daemon.says("armed")) << daemon.all();
     EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
     ASSERT_TRUE(daemon.says("detections come")) << daemon.all();

@@ -177,6 +177,7 @@ TEST_F(FaultRuns, TheStartIsFoundAgainAfterTheEnd) {
   const Recording recording = Recording::load(fr1_, 0, 0);
   std::vector<Shown> shown;
   const int n = static_cast<int>(recording.pictures.size());
+  shown.reserve(recording.pictures.size());
   for (int i = 0; i < n; ++i)
     shown.push_back(
         {&recording.pictures[static_cast<std::size_t>(i)], recording.times[static_cast<std::size_t>(i)], i});

@@ -81,7 +81,7 @@ inline PoseSample good_pose(rt::TimeNs t_capture_ns) {
 /// The link on a FakeBus; run() steps it every millisecond and gives it a pose every 1 / camera_hz, 5 ms old.
 class LinkHarness {
  public:
-  explicit LinkHarness(LinkConfig config = {}, std::string state = "", StoredState stored = {},
+  explicit LinkHarness(const LinkConfig& config = {}, std::string state = "", const StoredState& stored = {},
                        bool between_pictures = false)
       : storage(std::move(state)) {
     LinkPorts ports{&bus, nullptr, &storage, &poses, &health, &inputs, nullptr};

@@ -28,24 +28,24 @@ class FlightFolder : public testing::Test {
   static void SetUpTestSuite() {
     sim::Scenario scenario = sim::test::scenario("vibration");
     scenario.world.ground_texels = 1024;
-    flight_ = new sim::Flight(scenario, 2);
+    flight = new sim::Flight(scenario, 2);
   }
   static void TearDownTestSuite() {
-    delete flight_;
-    flight_ = nullptr;
+    delete flight;
+    flight = nullptr;
   }
   void SetUp() override { folder_ = temp_.path() / "flight"; }
   void TearDown() override { fs::remove_all(folder_); }
 
-  static sim::Flight* flight_;
+  static sim::Flight* flight;
   test::TempFolder temp_;  // of its own: tests run side by side
   fs::path folder_;
   std::atomic<bool> stop_{false};
 };
-sim::Flight* FlightFolder::flight_ = nullptr;
+sim::Flight* FlightFolder::flight = nullptr;
 
 TEST_F(FlightFolder, IsReadByOurOwnReplay) {
-  const auto written = write_flight(*flight_, {folder_.string(), true, 150, 4}, stop_);
+  const auto written = write_flight(*flight, {folder_.string(), true, 150, 4}, stop_);
   ASSERT_TRUE(written.ok()) << written.error().message;
   EXPECT_EQ(written.value().pictures, 4);
   EXPECT_EQ(lines(folder_ / "rgb.txt"), 5);
@@ -56,14 +56,14 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
   for (const char* layout : {"", "mav0"}) {
     const auto errors = hal::read_imu_record_errors((folder_ / layout).string());
     ASSERT_TRUE(errors.ok()) << errors.error().message;
-    EXPECT_EQ(errors.value().accelerometer_noise_density, flight_->scenario().imu.accel_noise) << layout;
-    EXPECT_EQ(errors.value().accelerometer_bias_sigma, flight_->scenario().imu.accel_bias) << layout;
+    EXPECT_EQ(errors.value().accelerometer_noise_density, flight->scenario().imu.accel_noise) << layout;
+    EXPECT_EQ(errors.value().accelerometer_bias_sigma, flight->scenario().imu.accel_bias) << layout;
   }
   for (const char* layout : {"", "mav0"}) {
     auto camera = hal::ReplayCamera::open((folder_ / layout).string(), {});
     ASSERT_TRUE(camera.ok()) << camera.error().message;
     const hal::CameraCalibration& c = camera.value()->calibration();
-    const int width = flight_->scenario().camera.rig.lens.width, height = flight_->scenario().camera.rig.lens.height;
+    const int width = flight->scenario().camera.rig.lens.width, height = flight->scenario().camera.rig.lens.height;
     EXPECT_EQ(c.width, width);
     EXPECT_NEAR(c.fx, sim::test::kSmall ? 225 : 450, 1e-9);
     EXPECT_NEAR(c.distortion[0], -0.12, 1e-9);
@@ -79,7 +79,7 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
     ASSERT_EQ(camera.value()->next({read.data(), width, height, width}, nullptr, rt::kNsPerSecond, &frame, &why),
               hal::CameraStatus::kFrame)
         << why;
-    const auto direct = flight_->camera(0);
+    const auto direct = flight->camera(0);
     direct->skip_to(150);
     ASSERT_EQ(direct->next({made.data(), width, height, width}, nullptr, 0, &again, &why), hal::CameraStatus::kFrame);
     EXPECT_EQ(read, made);
@@ -90,7 +90,7 @@ TEST_F(FlightFolder, IsReadByOurOwnReplay) {
 TEST_F(FlightFolder, SaysWhatItCannotWrite) {
   fs::create_directories(folder_);
   std::ofstream(folder_ / "mav0") << "in the way";
-  const auto written = write_flight(*flight_, {folder_.string(), false, 0, 2}, stop_);
+  const auto written = write_flight(*flight, {folder_.string(), false, 0, 2}, stop_);
   ASSERT_FALSE(written.ok());
   EXPECT_THAT(written.error().message, testing::HasSubstr("cannot make the folder"));
   EXPECT_FALSE(fs::exists(folder_ / "rgb.txt"));
@@ -98,14 +98,14 @@ TEST_F(FlightFolder, SaysWhatItCannotWrite) {
 
 TEST_F(FlightFolder, AnInterruptedFlightIsNotWhole) {
   stop_ = true;
-  const auto written = write_flight(*flight_, {folder_.string(), false, 0, 2}, stop_);
+  const auto written = write_flight(*flight, {folder_.string(), false, 0, 2}, stop_);
   ASSERT_FALSE(written.ok());
   EXPECT_THAT(written.error().message, testing::HasSubstr("interrupted"));
   EXPECT_FALSE(fs::exists(folder_ / "rgb.txt"));
 }
 
 TEST_F(FlightFolder, NoPictureIsLeftBehindTheLast) {
-  const auto written = write_flight(*flight_, {folder_.string(), false, 100000, 2}, stop_);
+  const auto written = write_flight(*flight, {folder_.string(), false, 100000, 2}, stop_);
   ASSERT_FALSE(written.ok());
   EXPECT_THAT(written.error().message, testing::HasSubstr("the flight has 1800 pictures"));
 }

@@ -79,6 +79,7 @@ TEST_P(EachCamera, RefusesWhatCannotBeSeenAndLeavesThePixelAlone) {
 template <typename Real>
 void expect_rows_as_one_by_one(const CameraModel& camera, double off_px) {
   std::vector<Vec3> points;
+  points.reserve(37);
   for (int i = 0; i < 37; ++i)
     points.push_back(camera.unproject(Vec2(17 * i % camera.width(), 29 * i % camera.height())) * (0.5 + i));
   const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();

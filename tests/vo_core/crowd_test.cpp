@@ -75,6 +75,7 @@ TEST(Crowd, ALostPoseIsFoundBetweenMoversInTheSameMap) {
   // hide most of what it sees.
   constexpr std::size_t kLost = 12;
   std::vector<Shot> order;
+  order.reserve(kLost);
   for (int i = 0; i < static_cast<int>(kLost); ++i) order.push_back({3 * i});
   for (int i = 0; i < 8; ++i) order.push_back({21 + i / 3, 0.6, -0.25, i == 0 ? 35 : 0});
   const CameraModel camera = camera_of(640);

@@ -32,6 +32,7 @@ Eigen::Vector2i on_level(const Feature& f, int level) {
 
 std::vector<Vec2f> pixels(const std::vector<Feature>& features) {
   std::vector<Vec2f> points;
+  points.reserve(features.size());
   for (const Feature& f : features) points.push_back(f.px);
   return points;
 }

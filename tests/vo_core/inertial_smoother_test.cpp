@@ -80,6 +80,7 @@ TEST(InertialState, PlusAndMinusAreInverse) {
 std::unique_ptr<InertialSmoother> begun(Flight* f, int moments, AlignmentMethod method, Alignment* found,
                                         InertialSmoother::Report* report) {
   std::vector<InertialNode> nodes;
+  nodes.reserve(static_cast<std::size_t>(moments));
   for (int k = 0; k < moments; ++k) nodes.push_back(f->node(k, {}));
   ImuBias bias;
   bias.gyro = align_gyro_bias(nodes, f->mounting_, bias, 0.1, 2e-4);
@@ -189,6 +190,7 @@ TEST(InertialSmoother, ACorrectionMovesWhatWasSeenWhileVisionStrayed) {
   InertialSmoother::Report report;
   const auto smoother = begun(&f, 30, AlignmentMethod::kWhole, &found, &report);
   std::vector<Vec3> before;
+  before.reserve(30);
   for (int i = 0; i < 30; ++i) before.push_back(smoother->node(i).sight.camera);
   const Vec3 shift(0.1, 0, -0.2);
   const rt::TimeNs to_ns = smoother->node(29).t_ns;

@@ -151,6 +151,7 @@ TEST_F(LandmarkFinderTest, WhatWasKnownOfAPointDoesNotCountForTheNextInItsPlace)
   ASSERT_GT(finder_.find(map_, keyframe_.pyramid.view(), {}, 0).matches, 100);
   // The same handles come back, as they do from a mapper that begins anew; no keyframe shows them.
   std::vector<PointHandle> handles;
+  handles.reserve(static_cast<std::size_t>(map_.point_end()));
   for (int i = 0; i < map_.point_end(); ++i)
     handles.push_back({static_cast<std::uint16_t>(i), map_.point(i).generation});
   map_.clear();

@@ -22,8 +22,7 @@ struct Views {
   void build_both() {
     const auto build = [](const test::Picture& p, std::vector<std::uint8_t>* s) {
       s->resize(pyramid_bytes(320, 240, 4) + 256);
-      const auto at = (reinterpret_cast<std::uintptr_t>(s->data()) + 63) / 64 * 64;
-      return build_pyramid(p.view(), 4, reinterpret_cast<std::uint8_t*>(at), s->size() - 64);
+      return build_pyramid(p.view(), 4, test::aligned(s), s->size() - rt::kRowAlignment);
     };
     ref = build(a, &storage_a);
     cur = build(b, &storage_b);

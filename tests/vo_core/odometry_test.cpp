@@ -137,6 +137,7 @@ TEST(Odometry, FrameSlotsComeBack) {
 // Neighbouring pictures cannot be laid on each other there: points are found from where the motion goes on as it was.
 TEST(Odometry, LampsOnTheMainsAreTrackedThrough) {
   std::vector<int> order;
+  order.reserve(60);
   for (int i = 0; i < 60; ++i) order.push_back(i < 24 ? i : kLamps + i);
   const Flown run = run_odometry(order);
   int tracked = 0;

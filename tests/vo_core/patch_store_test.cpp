@@ -21,9 +21,8 @@ struct World {
   double depth = 0.0;
 
   World() {
-    const auto at = (reinterpret_cast<std::uintptr_t>(storage.data()) + 63) / 64 * 64;
     KeyframeView view;
-    view.pyramid = build_pyramid(picture.view(), 4, reinterpret_cast<std::uint8_t*>(at), storage.size() - 64);
+    view.pyramid = build_pyramid(picture.view(), 4, test::aligned(&storage), storage.size() - rt::kRowAlignment);
     map->insert_keyframe(0, 1, view);
     point = map->free_point();
     KeyframeFeature f;

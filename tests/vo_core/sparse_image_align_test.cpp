@@ -17,8 +17,7 @@ struct View {
   rt::PyramidView pyramid;
 
   explicit View(test::Picture p) : picture(std::move(p)), storage(pyramid_bytes(320, 240, 4) + 256) {
-    const auto at = (reinterpret_cast<std::uintptr_t>(storage.data()) + 63) / 64 * 64;
-    pyramid = build_pyramid(picture.view(), 4, reinterpret_cast<std::uint8_t*>(at), storage.size() - 64);
+    pyramid = build_pyramid(picture.view(), 4, test::aligned(&storage), storage.size() - rt::kRowAlignment);
   }
 };
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <memory>
 #include <random>
 #include <vector>
 
@@ -11,6 +12,13 @@
 #include "vo_core/image/pyramid.h"
 
 namespace godwit::vo::test {
+
+/// Where a row may begin in these bytes, of which the last rt::kRowAlignment are spare.
+inline std::uint8_t* aligned(std::vector<std::uint8_t>* bytes) {
+  void* at = bytes->data();
+  std::size_t room = bytes->size();
+  return static_cast<std::uint8_t*>(std::align(rt::kRowAlignment, room - rt::kRowAlignment, at, room));
+}
 
 /// A picture that owns its pixels.
 class Picture {

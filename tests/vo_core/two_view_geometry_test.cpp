@@ -22,6 +22,7 @@ TEST(Homography, FourPointsGiveTheMapExactly) {
   truth << 1.1, 0.05, 12, -0.03, 0.95, -7, 1e-4, -2e-4, 1;
   const std::vector<Vec2> a{{-200, -150}, {210, -140}, {190, 160}, {-220, 130}, {17, 23}};
   std::vector<Vec2> b;
+  b.reserve(a.size());
   for (const Vec2& p : a) b.push_back((truth * p.homogeneous()).hnormalized());
   Mat3 H;
   const std::vector<int> index{0, 1, 2, 3};
