@@ -22,28 +22,49 @@ def threads(pid):
     return out
 
 
+def is_first(tid):
+    """Whether it is its process's first thread, whose id is the process's; not, if it has just ended."""
+    try:
+        status = pathlib.Path(f'/proc/{tid}/status').read_text()
+    except OSError:
+        return False
+    return f'\nTgid:\t{tid}\n' in status
+
+
 class StoppedThread:
     """Stopped from here on. One thread of the tester makes and releases it: ptrace belongs to a thread."""
 
     def __init__(self, tid):
         self.tid = tid
+        self.first = is_first(tid)
         self.held = _libc.ptrace(SEIZE, tid, None, None) == 0 and _libc.ptrace(INTERRUPT, tid, None, None) == 0
         error = ctypes.get_errno()
         if not self.held and error != 3:  # ESRCH: it has just ended
             raise OSError(error, os.strerror(error), 'ptrace')
         give_up = time.monotonic() + 5
-        while self.held and os.waitpid(tid, WALL | os.WNOHANG)[0] == 0:
+        while self.held and not self.reports():
             if time.monotonic() > give_up:
                 raise TimeoutError(f'thread {tid} does not stop')
             time.sleep(0.001)
+        if self.held:
+            os.waitpid(tid, WALL | os.WNOHANG)
 
     def look(self):
         """Often, while it is held: of a process that has ended its parent hears nothing before this thread is taken away."""
         try:
-            if self.held and os.waitpid(self.tid, WALL | os.WNOHANG)[0] != 0:
+            if self.held and self.reports():
+                os.waitpid(self.tid, WALL | os.WNOHANG)
                 self.held = pathlib.Path(f'/proc/{self.tid}').exists()
         except ChildProcessError:
             self.held = False
+
+    def reports(self):
+        """Of a first thread, that it ended is that the process did: how, is left for whoever started that to hear."""
+        report = os.waitid(os.P_PID, self.tid, os.WEXITED | os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
+        if report is not None and self.first and report.si_code in (os.CLD_EXITED, os.CLD_KILLED, os.CLD_DUMPED):
+            self.held = False
+            return False
+        return report is not None
 
     def release(self):
         """Goes on, if its process still lives."""
