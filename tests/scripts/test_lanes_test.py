@@ -26,6 +26,7 @@ case "$call" in
 esac
 echo "$call" >>calls
 echo "what $call prints"
+[ ! -e "do/before_$call" ] || . "do/before_$call"
 [ "${{call%%_*}}" != tests ] || echo "100% tests passed, 0 tests failed out of 1"
 [ ! -e "do/$call" ] || . "do/$call"
 """
@@ -76,6 +77,7 @@ class TestLanes(unittest.TestCase):
             self.assertIn(f"what {name} prints", printed)
         self.assertEqual(printed.count("100% tests passed"), 8, "printed once when it ended, and once at the end")
         self.assertIn("only scripts/test full runs vo_core's, of 1 files", printed)
+        self.assertIn("only scripts/test full, or training, runs torch_loss_test", printed)
 
     def test_a_build_goes_while_tests_run(self):
         # Neither could end without the other.
@@ -109,6 +111,14 @@ class TestLanes(unittest.TestCase):
         self.assertRegex(printed, r"release +not run: its build FAILED")
         self.assertRegex(printed, r"tsan tests +ok")
         self.assertNotIn("tests_release", self.calls())
+
+    def test_what_failed_is_told_again_at_the_end(self):
+        self.do("before_tests_release", "echo '  7/9 Test #7: link.poses ...***Failed 3 s'; echo 'FAIL  quality -1'\n")
+        self.do("tests_release", "exit 8\n")
+        status, printed = self.run_steps("release")
+        self.assertEqual(status, 1)
+        self.assertEqual(printed.count("#7: link.poses"), 2, printed)
+        self.assertEqual(printed.count("FAIL  quality -1"), 2, printed)
 
     def test_failed_tests_are_told_and_the_rest_is_run(self):
         self.do("tests_release", "exit 8\n")
