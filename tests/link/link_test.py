@@ -5,50 +5,22 @@
 """
 import argparse
 import bisect
-import json
 import math
 import os
-import select
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-import tty
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, mavlink, uavcan  # noqa: E402
 from expected_pose import RATES, expected, quality_of, rotation  # noqa: E402
-from machine import Machine  # noqa: E402
+from machine import Stalls  # noqa: E402
 from mavlink_ports import serial_port, udp_port  # noqa: E402
+from peer_process import finish, finish_after, start  # noqa: E402
 
 LATE_START = 19  # a process that starts in the middle of somebody's transfer counts each frame of the rest
-
-
-def start(program, *arguments):
-    return subprocess.Popen([program, "--can", "multicast:0", *arguments], stdout=subprocess.PIPE, text=True)
-
-
-class Stalls:
-    """Of a `with`: how long the machine itself stood at most. Limits in time are longer by that."""
-
-    def __enter__(self):
-        self.machine, self.t_begin = Machine(), time.monotonic()
-        return self
-
-    def __exit__(self, *_):
-        self.s = self.machine.stall(self.t_begin)
-        self.machine.close()
-        print("      the machine stood for %.0f ms at most" % (1e3 * self.s))
-
-
-def finish(process, spin=None):
-    end = time.monotonic() + 15
-    while process.poll() is None and time.monotonic() < end:
-        spin(0.05) if spin else time.sleep(0.05)
-    out = process.communicate(timeout=5)[0]
-    return json.loads(out.strip().split("\n")[-1]), process.returncode
 
 
 # ---- a node that a ground station understands -------------------------------------------------------------------------
@@ -234,11 +206,6 @@ def odometry(program, seconds, fd):
     bound = [len({f[4][0] for f in s}) == 1 and [f[1] for f in s] == ids for s in snapshots]
     follow = [(b[0][4][0] - a[0][4][0]) % 256 == 1 for a, b in zip(snapshots, snapshots[1:])]
     check(all(bound) and all(follow), "each bound by one sequence number, none missing")
-
-
-def finish_after(process, ap, seconds):
-    ap.spin(seconds)
-    return finish(process, ap.spin)
 
 
 def lost_and_stalled(program):

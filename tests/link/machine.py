@@ -54,3 +54,16 @@ class Machine(threading.Thread):
     def close(self):
         self.program.kill()
         self.program.wait()
+
+
+class Stalls:
+    """Of a `with`: how long the machine itself stood at most. Limits in time are longer by that."""
+
+    def __enter__(self):
+        self.machine, self.t_begin = Machine(), time.monotonic()
+        return self
+
+    def __exit__(self, *_):
+        self.s = self.machine.stall(self.t_begin)
+        self.machine.close()
+        print("      the machine stood for %.0f ms at most" % (1e3 * self.s))
