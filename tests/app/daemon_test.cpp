@@ -345,10 +345,12 @@ TEST(Godwitd, WithPrivilegesItDoesNotWarn) {
 TEST(Godwitd, FindsPeopleInFlightAndSaysSo) {
   for (const char* model : {"", GODWIT_MODEL_DIR "/yolox_nano_416.onnx"}) {
     const test::TempFolder folder;
-    const std::string sim = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = \"";
-    const std::string network = "\"\n[detector]\nbackend = \"cuda\"\nmodel = \"";
-    Daemon daemon(write_config(
-        folder, std::string(sim).append(GODWIT_SCENARIO_DIR).append(network).append(model).append("\"\n")));
+    std::string text = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = \"";
+    text.append(GODWIT_SCENARIO_DIR)
+        .append("\"\n[detector]\nbackend = \"cuda\"\nmodel = \"")
+        .append(model)
+        .append("\"\n");
+    Daemon daemon(write_config(folder, text));
     ASSERT_TRUE(daemon.says("armed")) << daemon.all();
     EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
     ASSERT_TRUE(daemon.says("detections come")) << daemon.all();
