@@ -345,12 +345,9 @@ TEST(Godwitd, WithPrivilegesItDoesNotWarn) {
 TEST(Godwitd, FindsPeopleInFlightAndSaysSo) {
   for (const char* model : {"", GODWIT_MODEL_DIR "/yolox_nano_416.onnx"}) {
     const test::TempFolder folder;
-    std::string text = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = \"";
-    text.append(GODWIT_SCENARIO_DIR)
-        .append("\"\n[detector]\nbackend = \"cuda\"\nmodel = \"")
-        .append(model)
-        .append("\"\n");
-    Daemon daemon(write_config(folder, text));
+    const std::string sim = "[camera]\nsource = \"sim\"\nscenario = \"hover-in-crowd\"\npictures = 2\nscenarios = ";
+    const std::string text = sim + ("\"" GODWIT_SCENARIO_DIR "\"\n[detector]\nbackend = \"cuda\"\nmodel = \"") + model;
+    Daemon daemon(write_config(folder, text + "\"\n"));
     ASSERT_TRUE(daemon.says("armed")) << daemon.all();
     EXPECT_THAT(daemon.all(), HasSubstr("warning: detector: backend cuda is not available")) << "Debian's OpenCV";
     ASSERT_TRUE(daemon.says("detections come")) << daemon.all();
