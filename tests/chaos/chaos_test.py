@@ -21,11 +21,12 @@ import sys
 import tempfile
 import time
 
+sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import faults  # noqa: E402
+from machine import Machine  # noqa: E402
 from supervisor import Rules, Supervisor  # noqa: E402
 from told import Told  # noqa: E402  (finds tests/link)
-from machine import Machine  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, uavcan  # noqa: E402
 
 BACK_S = 5.0

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 
+sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, VisionRules, dronecan, mavlink, uavcan  # noqa: E402
