@@ -27,20 +27,21 @@ class View:
     boxes: np.ndarray
     labels: np.ndarray
     ignore: np.ndarray
+    plain: np.ndarray  # as `image`, but in the picture's own colours
 
 
 def _turn(p: Picture, rng: np.random.Generator) -> Picture:
     image, boxes, ignore = p.image, p.boxes, p.ignore
     if rng.random() < 0.5:  # left to right
         w = image.shape[1]
-        image = image[:, ::-1]
+        image = cv2.flip(image, 1)
         boxes, ignore = (np.stack((w - b[:, 2], b[:, 1], w - b[:, 0], b[:, 3]), 1) for b in (boxes, ignore))
     if p.source in TURNED:
         for _ in range(rng.integers(0, 4)):  # a quarter turn: (x, y) -> (y, w - x)
             w = image.shape[1]
-            image = np.rot90(image)
+            image = cv2.rotate(image, cv2.ROTATE_90_COUNTERCLOCKWISE)
             boxes, ignore = (np.stack((b[:, 1], w - b[:, 2], b[:, 3], w - b[:, 0]), 1) for b in (boxes, ignore))
-    return Picture(p.name, p.source, np.ascontiguousarray(image), boxes, p.labels, ignore)
+    return Picture(p.name, p.source, image, boxes, p.labels, ignore)
 
 
 def _place(canvas: np.ndarray, region: tuple[int, int, int, int], p: Picture, fitted: float, rng: np.random.Generator,
@@ -113,7 +114,7 @@ def single(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
     """A size x size window on one picture, which is scaled as an input of view x view pixels would show it."""
     canvas = np.full((size, size, 3), BORDER, np.uint8)
     boxes, labels, ignore = _place(canvas, (0, 0, size, size), _turn(p, rng), view * _zoom(p.source, rng), rng)
-    return View(_colour(canvas, rng), boxes, labels, ignore)
+    return View(_colour(canvas, rng), boxes, labels, ignore, canvas)
 
 
 def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
@@ -126,7 +127,7 @@ def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
     canvas = np.full((size, size, 3), BORDER, np.uint8)
     if not len(people):
         boxes, labels, ignore = _place(canvas, (0, 0, size, size), p, view * _zoom(p.source, rng), rng)
-        return View(_colour(canvas, rng), boxes, labels, ignore)
+        return View(_colour(canvas, rng), boxes, labels, ignore, canvas)
     border = size // 8 if rng.random() < 0.5 else 0
     rw, rh = size, size - 2 * border
     x0, y0, x1, y1 = (float(v) for v in p.boxes[rng.choice(people)])
@@ -142,7 +143,7 @@ def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
         dx = rw - scale * (x0 + kept * (x1 - x0))
     region = (0, border, size, size - border)
     boxes, labels, ignore = _place(canvas, region, p, scale * max(h, w), rng, corner=(dx, dy))
-    return View(_colour(canvas, rng), boxes, labels, ignore)
+    return View(_colour(canvas, rng), boxes, labels, ignore, canvas)
 
 
 def mosaic(four: list[Picture], size: int, view: int, rng: np.random.Generator) -> View:
@@ -152,7 +153,7 @@ def mosaic(four: list[Picture], size: int, view: int, rng: np.random.Generator) 
     regions = ((0, 0, cx, cy), (cx, 0, size, cy), (0, cy, cx, size), (cx, cy, size, size))
     parts = [_place(canvas, r, _turn(p, rng), view * _zoom(p.source, rng), rng) for r, p in zip(regions, four)]
     boxes, labels, ignore = (np.concatenate(column) for column in zip(*parts))
-    return View(_colour(canvas, rng), boxes, labels, ignore)
+    return View(_colour(canvas, rng), boxes, labels, ignore, canvas)
 
 
 def letterbox(image: np.ndarray, width: int, height: int, centred: bool = True) -> tuple[np.ndarray, float, int, int]:

@@ -42,9 +42,16 @@ def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[
     return views
 
 
-def to_tensors(views: list[View]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pictures (8 bit), targets (n x 6) and ignored regions (m x 5) as loss.detection_loss takes them."""
-    images = torch.from_numpy(np.ascontiguousarray(np.stack([v.image for v in views]).transpose(0, 3, 1, 2)))
+def coco_views(pictures: dict[str, list[Picture]], recipe: Recipe) -> int:
+    """How many views of a step are of COCO: the first ones of draw()."""
+    return data.sources_of_step(0, recipe.batch, "simulated" in pictures, recipe.permissive)[0][1]
+
+
+def to_tensors(views: list[View], taught: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Pictures (8 bit), of the first `taught` the same in their own colours, targets (n x 6) and ignored regions (m x 5) as
+    loss.detection_loss takes them."""
+    as_planes = lambda of: torch.from_numpy(np.ascontiguousarray(np.stack(of).transpose(0, 3, 1, 2)))  # noqa: E731
+    images, plain = as_planes([v.image for v in views]), as_planes([v.plain for v in views[:taught]])
     targets, ignore = [np.zeros((0, 6), np.float32)], [np.zeros((0, 5), np.float32)]
     for i, v in enumerate(views):
         n = len(v.labels)
@@ -52,7 +59,7 @@ def to_tensors(views: list[View]) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
         targets.append(np.concatenate((np.full((n, 1), i), v.labels[:, None], centre, extent), 1))
         ignore.append(np.concatenate((np.full((len(v.ignore), 1), i), v.ignore), 1))
     as_tensor = lambda rows: torch.from_numpy(np.concatenate(rows).astype(np.float32))  # noqa: E731
-    return images, as_tensor(targets), as_tensor(ignore)
+    return images, plain, as_tensor(targets), as_tensor(ignore)
 
 
 class Steps(torch.utils.data.Dataset):
@@ -64,9 +71,9 @@ class Steps(torch.utils.data.Dataset):
     def __len__(self) -> int:
         return self.count
 
-    def __getitem__(self, step: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def __getitem__(self, step: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         cv2.setNumThreads(1)
-        return to_tensors(draw(self.pictures, self.recipe, step))
+        return to_tensors(draw(self.pictures, self.recipe, step), coco_views(self.pictures, self.recipe))
 
 
 def steps(pictures: dict[str, list[Picture]], recipe: Recipe, first: int, last: int, workers: int):

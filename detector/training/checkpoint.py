@@ -57,10 +57,10 @@ def load(path: Path) -> dict:
     return _unpack(json.loads(held["text"]), held["tensors"])
 
 
-def load_own(path: Path, options: dict) -> dict:
-    """OtherRun, which names what differs, unless the file was written with these options."""
+def load_own(path: Path, options: dict, but: tuple[str, ...] = ()) -> dict:
+    """OtherRun, which names what differs, unless the file was written with these options, all `but` some."""
     held = load(path)
-    theirs = held["options"]
+    theirs = {k: v for k, v in held["options"].items() if k not in but}
     if theirs != options:
         differ = [f"{k} {theirs.get(k)!r} there, {options.get(k)!r} here" for k in sorted(theirs.keys() | options.keys())
                   if theirs.get(k) != options.get(k)]

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 import bootstrap
+import checkpoint
 import choose
 import data
 import train
@@ -67,11 +68,11 @@ def figures_of(args: argparse.Namespace, rest: list[str], attention: bool, seed:
         check_same(file, held["options"], wanted)
         return held
     python(HERE / "train.py", *words, may_stop=True)
-    python(HERE / "export.py", "--checkpoint", folder / "checkpoint.pt", "--out", folder, "--input", 416)
+    weights = folder / train.WEIGHTS
+    python(HERE / "export.py", "--checkpoint", weights, "--out", folder, "--input", 416)
     model = next(folder.glob("*_416.onnx"))
-    run = json.loads((folder / "run.json").read_text())
-    _, _, gates = network_of_run(folder / "checkpoint.pt", newest=False)
-    held = {"options": wanted, "pictures_sha256": run["pictures_sha256"], "gates": gates,
+    _, _, gates = network_of_run(weights, newest=False)
+    held = {"options": wanted, "pictures_sha256": checkpoint.load(weights)["options"]["pictures_sha256"], "gates": gates,
             "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest(), "tables": collect_all(model, Path(args.data))}
     part = file.with_suffix(".part")
     part.write_text(json.dumps(held))

@@ -42,7 +42,7 @@ def main() -> int:
     if code := python(HERE / "train.py", *words):
         return code
     made = args.out / "models"
-    export = [HERE / "export.py", "--checkpoint", args.out / "checkpoint.pt", "--data", args.data]
+    export = [HERE / "export.py", "--checkpoint", args.out / train.WEIGHTS, "--data", args.data]
     if code := python(*export, "--out", made):
         return code
     models = sorted(made.glob("*.onnx"))

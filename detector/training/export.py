@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes a trained network as ONNX (opset 12, static shapes, norms folded) with its metadata, for OpenCV's DNN module.
 
-  export.py --checkpoint RUN/checkpoint.pt --out DIR [--input 416 320 480x352]
+  export.py --checkpoint RUN/weights.pt --out DIR [--input 416 320 480x352]
   export.py --weights MODEL.onnx --out DIR --input 480x352
   export.py --yolox DATA/models/yolox_nano_416.onnx --out DIR [--input 416 320]
 
@@ -108,6 +108,8 @@ def network_of_run(path: Path, newest: bool) -> tuple[PathAggregation, str, dict
     """The network of a run, in evaluation mode; what to say of it; the spread of its gates as measured in training."""
     held = checkpoint.load(path)
     best = held["best"]
+    if newest and "average" not in held:
+        raise ValueError(f"{path}: holds what was chosen alone; --newest takes checkpoint.pt")
     if not newest and best is None:
         raise ValueError(f"{path}: nothing was chosen yet; --newest takes the newest")
     net = families.make(held["family"], held["size"], held["attention"])
@@ -119,7 +121,7 @@ def network_of_run(path: Path, newest: bool) -> tuple[PathAggregation, str, dict
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--checkpoint", type=Path, help="checkpoint.pt of train.py")
+    source.add_argument("--checkpoint", type=Path, help="weights.pt, or checkpoint.pt, of train.py")
     source.add_argument("--weights", type=Path, help="a file that this program wrote")
     source.add_argument("--yolox", type=Path, help="the published file of YOLOX-Nano")
     parser.add_argument("--newest", action="store_true", help="of --checkpoint: not what was chosen but the newest average")

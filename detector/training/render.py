@@ -15,11 +15,12 @@ import argparse
 import csv
 import json
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+import cv2
 
 HERE = Path(__file__).resolve().parent
 # Never trained on, whatever the seed: what flies in the tests and tables of the project.
@@ -59,19 +60,29 @@ def sort_boxes(rows: list[dict], width: int, height: int) -> tuple[list[str], li
     return learnt, left_out
 
 
-def take(flight: Path, name: str, width: int, height: int, out: Path) -> int:
-    """Copies the pictures of a folder that godwit sim wrote; returns how many."""
+def take(flight: Path, name: str, width: int, height: int, out: Path, every: int = 1, quality: int | None = None) -> int:
+    """Copies the pictures of a folder that godwit sim wrote, each `every`th from the first on, as they are or written again as
+    JPEG of `quality`; returns how many."""
     boxes: dict[int, list[dict]] = {}
     with open(flight / "boxes.csv", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             boxes.setdefault(int(row["t"].replace(".", "")), []).append(row)
     pictures = sorted((flight / "mav0" / "cam0" / "data").glob("*.jpg"), key=lambda p: int(p.stem))
-    for number, picture in enumerate(pictures):
+    pictures = list(enumerate(pictures))[::every]
+    for number, picture in pictures:
         stem = f"{name}_{number:03}"
-        shutil.copyfile(picture, out / "images" / f"{stem}.jpg")
+        content = picture.read_bytes() if quality is None else again(picture, quality)
+        (out / "images" / f"{stem}.jpg").write_bytes(content)
         for folder, lines in zip(("labels", "ignore"), sort_boxes(boxes.get(int(picture.stem), []), width, height)):
             (out / folder / f"{stem}.txt").write_text("".join(f"{line}\n" for line in lines))
     return len(pictures)
+
+
+def again(picture: Path, quality: int) -> bytes:
+    ok, content = cv2.imencode(".jpg", cv2.imread(str(picture), cv2.IMREAD_UNCHANGED), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not ok:
+        raise ValueError(f"{picture}: cannot be written again")
+    return content.tobytes()
 
 
 def side(text: str, key: str) -> int:
@@ -95,9 +106,10 @@ def render(args: argparse.Namespace) -> int:
                                       capture_output=True, text=True, check=False)
                 if done.returncode:
                     raise ValueError(f"{scenario.stem}, seed {seed}: {done.stderr.strip() or done.stdout.strip()}")
-                count += take(flight, f"{scenario.stem}_{seed}", side(text, "width"), side(text, "height"), out)
+                count += take(flight, f"{scenario.stem}_{seed}", side(text, "width"), side(text, "height"), out,
+                              args.every, args.quality)
     (out / "purpose.json").write_text(json.dumps(
-        {"for": "scoring" if args.to_score else "training", "seeds": args.seeds,
+        {"for": "scoring" if args.to_score else "training", "seeds": args.seeds, "every": args.every, "quality": args.quality,
          "scenarios": [s.stem for s in scenarios_of(args.to_score)]}, indent=1))
     return count
 
@@ -116,7 +128,11 @@ def main() -> None:
     parser.add_argument("--out", required=True, help="an empty or new folder")
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--to-score", action="store_true", help="of the four scenarios that fly, never to be trained on")
+    parser.add_argument("--every", type=int, default=1, help="only each so many-th picture of a flight: other flights show more")
+    parser.add_argument("--quality", type=int, help="of JPEG, 1 to 100, for where there is little room; not given: as rendered")
     args = parser.parse_args()
+    if args.every < 1 or not (args.quality is None or 1 <= args.quality <= 100):
+        parser.error("--every must be at least 1, --quality from 1 to 100")
     print(f"{args.out}: {render(args)} pictures")
 
 

@@ -32,6 +32,7 @@ from network import Network
 PEOPLE_UNLABELLED = ("aerial_cars", "cats_topdown")
 # CBAM is new where all else was learnt on COCO: it learns at ten times the rate, or its gates stay where they began.
 ATTENTION_RATE = 10.0
+WEIGHTS = "weights.pt"  # of a run that has ended, with what was chosen and no more
 INTERRUPTED = 3  # exit code: stopped by a signal, the checkpoint is written
 # Not part of what a run is: where, how fast, how often written.
 ELSEWHERE = ("data", "out", "simulated", "device", "threads", "workers", "save_every_s")
@@ -131,6 +132,10 @@ class Run:
                 "sums": self.sums, "optimiser": self.optimiser.state_dict(), "family": self.args.family, "size": self.args.size,
                 "attention": not self.args.no_attention}
 
+    def chosen(self) -> dict:
+        """Of a run that ended, what an export needs: the chosen weights, without all that only learning on needs."""
+        return {k: v for k, v in self.state().items() if k in ("step", "best", "family", "size", "attention")}
+
     def take(self, held: dict) -> None:
         self.net.load_state_dict(held["net"])
         self.average.state = {k: v.to(self.device) for k, v in held["average"].items()}
@@ -138,14 +143,16 @@ class Run:
         self.step, self.best = held["step"], held["best"]
         self.sums = {k: v.to(self.device) for k, v in held["sums"].items()}
 
-    def learn(self, images: torch.Tensor, targets: torch.Tensor, ignore: torch.Tensor, coco: int) -> None:
+    def learn(self, images: torch.Tensor, plain: torch.Tensor, targets: torch.Tensor, ignore: torch.Tensor) -> None:
+        """One step on what batches.to_tensors() gives. The teacher sees `plain`: grey and dark ones too are to be found as it
+        finds them in their own colours, and it finds less in grey itself."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.step, self.args.steps, self.args.lr) * group["share"]
         images = images.to(self.device, non_blocking=True).float() / 255
-        taught = None
+        taught, coco = None, len(plain)
         if self.teacher is not None:
             with torch.no_grad():
-                taught = self.teacher.raw(images[:coco])
+                taught = self.teacher.raw(plain.to(self.device, non_blocking=True).float() / 255)
         loss, parts = families.LOSSES[self.args.family](self.net.raw(images), targets.to(self.device), ignore, taught, coco)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -187,6 +194,11 @@ def train(args: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
+    if (out / WEIGHTS).exists():
+        # Wherever it ran: another version of OpenCV decodes some pixels and finds some unlabelled people otherwise.
+        checkpoint.load_own(out / WEIGHTS, identity(args), but=("pictures_sha256",))
+        print(f"{out / WEIGHTS}: the weights of this run, which has ended", flush=True)
+        return 0
     pictures = load_pictures(args)
     choosing = choose.pictures_that_choose(Path(args.data), args.permissive)
     options = identity(args) | {"pictures_sha256": data.digest(pictures)}
@@ -201,11 +213,10 @@ def train(args: argparse.Namespace) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: stop.append(n))
     recipe = batches.Recipe(args.seed, args.batch, args.window, args.view, args.permissive)
-    coco = data.sources_of_step(0, args.batch, bool(args.simulated), args.permissive)[0][1]
     first, began = run.step, time.monotonic()
     last_saved = began
     for tensors in batches.steps(pictures, recipe, first, args.steps, args.workers):
-        run.learn(*tensors, coco)
+        run.learn(*tensors)
         if run.step % 10 == 0:
             run.tell((time.monotonic() - began) / (run.step - first))
         if run.step % args.choose_every == 0 or run.step == args.steps:
@@ -213,6 +224,8 @@ def train(args: argparse.Namespace) -> int:
         if stop or time.monotonic() - last_saved > args.save_every_s or run.step == args.steps:
             checkpoint.save(path, options=options, **run.state())
             last_saved = time.monotonic()
+        if run.step == args.steps:
+            checkpoint.save(out / WEIGHTS, options=options, **run.chosen())
         if stop and run.step < args.steps:
             print(f"stopped after step {run.step}; the same command goes on", flush=True)
             return INTERRUPTED

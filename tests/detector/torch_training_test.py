@@ -112,6 +112,44 @@ class Runs(InFolder):
             begun = families.make(whole['family'], whole['size'], True).state_dict()
             self.assertFalse(all(torch.equal(whole['net'][k], v) for k, v in begun.items()))
 
+    def test_what_ended_is_not_repeated_and_needs_its_weights_alone(self):
+        self.run_to_its_end('run', '--start', 'scratch')
+        chosen, _, gates = export.network_of_run(self.root / 'run' / 'checkpoint.pt', newest=False)
+        (self.root / 'run' / 'checkpoint.pt').unlink()
+        with unittest.mock.patch.object(train, 'load_pictures', side_effect=AssertionError('trained again')):
+            code, told = self.run_to_its_end('run', '--start', 'scratch')
+            self.assertEqual((code, 'which has ended' in told), (0, True))
+            with self.assertRaisesRegex(checkpoint.OtherRun, 'seed 0 there, 1 here'):
+                self.run_to_its_end('run', '--start', 'scratch', '--seed', '1')
+        again, what, told = export.network_of_run(self.root / 'run' / train.WEIGHTS, newest=False)
+        self.assertEqual(told, gates)
+        self.assert_same(dict(again.state_dict()), dict(chosen.state_dict()))
+        with self.assertRaisesRegex(ValueError, 'weights.pt: holds what was chosen alone'):
+            export.network_of_run(self.root / 'run' / train.WEIGHTS, newest=True)
+
+    def test_the_teacher_sees_pictures_in_their_own_colours(self):
+        tiny_set.make_coco_arrays(self.root)
+        seen = []
+        make = train.Run._make
+
+        def watched(run, attention):
+            net = make(run, attention)
+            if not attention:  # the teacher
+                raw = net.raw
+                net.raw = lambda x: (seen.append(x.clone()), raw(x))[1]
+            return net
+
+        drawn = []
+        draw = batches.draw
+        with unittest.mock.patch.object(train.Run, '_make', watched), \
+                unittest.mock.patch.object(batches, 'draw', lambda *words: (drawn.append(draw(*words)), drawn[-1])[1]):
+            self.run_to_its_end('run', '--start', 'coco')
+        self.assertEqual(len(seen), 4)
+        for views, x in zip(drawn, seen):
+            plain = np.stack([v.plain for v in views if v is views[0] or v is views[1]]).transpose(0, 3, 1, 2)
+            self.assertTrue(np.array_equal(np.round(x.numpy() * 255), plain))
+            self.assertFalse(all(np.array_equal(v.plain, v.image) for v in views))
+
     def test_who_learns_from_free_pictures_opens_no_others(self):
         tiny_set.make_yolox(self.root)
         for lost in ('cats_topdown', 'visdrone_mini'):
@@ -156,7 +194,7 @@ class Runs(InFolder):
             pictures = train.load_pictures(args)
             recipe = batches.Recipe(args.seed, args.batch, args.window, args.view)
             tensors.append([t for step in batches.steps(pictures, recipe, 0, 3, 0) for t in step])
-        self.assertEqual(len(tensors[0]), 9)
+        self.assertEqual(len(tensors[0]), 12)
         self.assertTrue(all(torch.equal(a, b) for a, b in zip(*tensors)))
 
     def test_the_comparison_repeats_nothing_and_refuses_figures_of_other_options(self):

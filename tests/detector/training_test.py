@@ -195,6 +195,7 @@ class Views(unittest.TestCase):
     def test_half_of_the_views_are_grey(self):
         views = [augment.single(self.person(), 64, 64, np.random.default_rng(seed)) for seed in range(300)]
         self.assertAlmostEqual(np.mean([grey(v.image) for v in views]), 0.5, delta=0.08)
+        self.assertFalse([v for v in views if (v.plain != augment.BORDER).any() and grey(v.plain)])  # what a teacher sees
 
     def test_an_edge_cuts_people_in_every_way(self):
         ways = dict.fromkeys(('head', 'left', 'right'), 0)
@@ -262,6 +263,14 @@ class Rendered(unittest.TestCase):
             self.assertEqual((first.name, first.labels.tolist(), len(first.ignore)), ('own_3_000', [0, 5], 1))
             np.testing.assert_allclose(first.boxes[1], [320, 240, 640, 480], atol=0.01)
             self.assertEqual((second.name, len(second.labels)), ('own_3_001', 0))
+            (root / 'flight/mav0/cam0/data/3500000000.jpg').write_bytes(
+                (root / 'flight/mav0/cam0/data/1500000000.jpg').read_bytes())
+            for sub in ('images', 'labels', 'ignore'):
+                (root / 'few' / sub).mkdir(parents=True)
+            self.assertEqual(render.take(root / 'flight', 'own_3', 640, 480, root / 'few', every=2, quality=10), 2)
+            self.assertEqual([p.stem for p in sorted((root / 'few' / 'images').iterdir())], ['own_3_000', 'own_3_002'])
+            self.assertLess((root / 'few' / 'images' / 'own_3_000.jpg').stat().st_size,
+                            (root / 'set' / 'images' / 'own_3_000.jpg').stat().st_size)
             data.leave_out_smaller([first], 65)
             self.assertEqual((first.labels.tolist(), len(first.ignore)), ([5], 2))
 
