@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """The weights that are delivered, in one command: trains, exports for the three inputs, and scores what was made.
 
-  deliver.py --data DIR --out RUN --models ../models --reference ../../tests/detector/data [options of train.py, whole]
+  deliver.py --data DIR --out RUN --simulated SIM --models ../models --reference ../../tests/detector/data [options of train.py, whole]
 
-All options but where and how fast are train.py's defaults, which are those of the delivered weights. May be cut off and given
+With --simulated it trains twice, without and with rendered pictures, and delivers the mean of both: without, more of what is
+really seen from above is found, with, more of people and of vehicles that an edge cuts. All options but where and how fast are train.py's defaults, which are those of the delivered weights. May be cut off and given
 again. The figures stand in RUN/figures.json and RUN/figures.txt; what they replace and whether they are better is for the
 reader: the files in --models are written last, and only with --take.
 """
@@ -24,25 +25,36 @@ def python(*args: object, **more) -> int:
 
 
 def parse(words: list[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
-    """Our options, and the words for train.py."""
+    """Our options, and the words for train.py but --out and --simulated."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
     parser.add_argument("--data", required=True)
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--models", type=Path, default=HERE.parent / "models")
     parser.add_argument("--reference", type=Path, default=HERE.parents[1] / "tests" / "detector" / "data")
     parser.add_argument("--take", action="store_true", help="also writes the files into --models and --reference")
+    parser.add_argument("--simulated", help="a folder of render.py's")
     args, rest = parser.parse_known_args(words)
-    own = ["--data", args.data, "--out", str(args.out), *rest]
-    train.parse(own)  # unknown and abbreviated options end here
+    own = ["--data", args.data, *rest]
+    for _, run in runs(args, own):
+        train.parse(run)  # unknown and abbreviated options end here
     return args, own
+
+
+def runs(args: argparse.Namespace, words: list[str]) -> list[tuple[Path, list[str]]]:
+    """The folder and the words of each training."""
+    folders = [(args.out / "without", []), (args.out / "with", ["--simulated", args.simulated])] if args.simulated \
+        else [(args.out, [])]
+    return [(folder, [*words, "--out", str(folder), *more]) for folder, more in folders]
 
 
 def main() -> int:
     args, words = parse()
-    if code := python(HERE / "train.py", *words):
-        return code
+    trained = runs(args, words)
+    for _, run in trained:
+        if code := python(HERE / "train.py", *run):
+            return code
     made = args.out / "models"
-    export = [HERE / "export.py", "--checkpoint", args.out / train.WEIGHTS, "--data", args.data]
+    export = [HERE / "export.py", "--checkpoint", *(folder / train.WEIGHTS for folder, _ in trained), "--data", args.data]
     if code := python(*export, "--out", made):
         return code
     models = sorted(made.glob("*.onnx"))

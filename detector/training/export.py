@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Writes a trained network as ONNX (opset 12, static shapes, norms folded) with its metadata, for OpenCV's DNN module.
 
-  export.py --checkpoint RUN/weights.pt --out DIR [--input 416 320 480x352]
+  export.py --checkpoint RUN/weights.pt [RUN2/weights.pt ..] --out DIR [--input 416 320 480x352]
   export.py --weights MODEL.onnx --out DIR --input 480x352
   export.py --yolox DATA/models/yolox_nano_416.onnx --out DIR [--input 416 320]
 
-From a run: the weights that its choosing pictures liked best, or with --newest the newest average. --weights: those of a file
+From a run: the weights that its choosing pictures liked best, or with --newest the newest average; from several the mean of
+theirs (Wortsman et al., Model soups, 2022: runs that began alike end in one basin). --weights: those of a file
 that this program wrote, for another input. --yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes
 and made for the input that godwit gives (red, green, blue of 0 to 1), without CBAM.
 """
@@ -118,10 +119,28 @@ def network_of_run(path: Path, newest: bool) -> tuple[PathAggregation, str, dict
     return net.eval(), f"step {step} of {held['options']['steps']}", {} if newest else best["gates"]
 
 
+def network_of_runs(paths: list[Path], newest: bool) -> tuple[PathAggregation, str, dict]:
+    """As network_of_run(), of several the mean. ValueError unless they are alike and began alike: another seed draws CBAM
+    otherwise, and the mean of two that never were one is neither."""
+    net, what, gates = network_of_run(paths[0], newest)
+    if len(paths) == 1:
+        return net, what, gates
+    held = [checkpoint.load(p) for p in paths]
+    for path, other in zip(paths[1:], held[1:]):
+        differ = [k for k in ("family", "size", "attention") if other[k] != held[0][k]]
+        differ += [k for k in ("seed", "start") if other["options"][k] != held[0]["options"][k]]
+        if differ:
+            raise ValueError(f"{path}: differs from {paths[0]} in {differ[0]}: no mean of these")
+    states = [network_of_run(p, newest)[0].state_dict() for p in paths]
+    net.load_state_dict({k: torch.stack([s[k].double() for s in states]).mean(0).to(v.dtype) if v.dtype.is_floating_point else v
+                         for k, v in states[0].items()})
+    return net.eval(), f"mean of {len(paths)} runs", {}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--checkpoint", type=Path, help="weights.pt, or checkpoint.pt, of train.py")
+    source.add_argument("--checkpoint", type=Path, nargs="+", help="weights.pt, or checkpoint.pt, of train.py; of several the mean")
     source.add_argument("--weights", type=Path, help="a file that this program wrote")
     source.add_argument("--yolox", type=Path, help="the published file of YOLOX-Nano")
     parser.add_argument("--newest", action="store_true", help="of --checkpoint: not what was chosen but the newest average")
@@ -132,7 +151,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of the sets: measures the spread of the gates anew")
     args = parser.parse_args()
     if args.checkpoint:
-        net, what, gates = network_of_run(args.checkpoint, args.newest)
+        net, what, gates = network_of_runs(args.checkpoint, args.newest)
     elif args.yolox:
         net, what, gates = CbamYolox(attention=False), "as published", {}
         load_yolox(net, str(args.yolox))

@@ -127,6 +127,23 @@ class Runs(InFolder):
         with self.assertRaisesRegex(ValueError, 'weights.pt: holds what was chosen alone'):
             export.network_of_run(self.root / 'run' / train.WEIGHTS, newest=True)
 
+    def test_of_runs_that_began_alike_the_mean_is_exported(self):
+        for name, more in (('a', []), ('b', ['--lr', '0.01']), ('other', ['--seed', '1']), ('plain', ['--no-attention'])):
+            self.run_to_its_end(name, '--start', 'scratch', *more)
+        path = lambda name: self.root / name / train.WEIGHTS  # noqa: E731
+        a, b = (export.network_of_run(path(n), False)[0].state_dict() for n in 'ab')
+        net, what, gates = export.network_of_runs([path('a'), path('b')], False)
+        self.assertEqual((what, gates, net.training), ('mean of 2 runs', {}, False))
+        moved = 0
+        for key, value in net.state_dict().items():
+            if value.dtype.is_floating_point:
+                torch.testing.assert_close(value, (a[key] + b[key]) / 2)
+                moved += int(not torch.equal(a[key], b[key]))
+        self.assertGreater(moved, 50)
+        for name, why in (('other', 'seed'), ('plain', 'attention')):
+            with self.assertRaisesRegex(ValueError, f'{name}/weights.pt: differs from .*a/weights.pt in {why}'):
+                export.network_of_runs([path('a'), path(name)], False)
+
     def test_the_teacher_sees_pictures_in_their_own_colours(self):
         tiny_set.make_coco_arrays(self.root)
         seen = []
@@ -344,6 +361,11 @@ class Comparison(unittest.TestCase):
         code, started = self.delivered('--take', '--models', 'M', '--reference', 'R')
         self.assertEqual((code, len(started), started[-1][0]), (0, 7, 'export.py'))
         self.assertEqual(started[-1][1][-4:], ['--out', 'M', '--reference', 'R'])
+        code, started = self.delivered('--simulated', 'SIM')
+        self.assertEqual((code, [p for p, _ in started[:3]]), (0, ['train.py', 'train.py', 'export.py']))
+        self.assertNotIn('SIM', started[0][1])
+        self.assertIn('SIM', started[1][1])
+        self.assertEqual([pathlib.Path(w).parent.name for w in started[2][1] if w.endswith('weights.pt')], ['without', 'with'])
         for fails, count in (('train.py', 1), ('export.py', 2), ('evaluate.py', 3)):
             code, started = self.delivered('--take', fails=fails)
             self.assertEqual((code, len(started)), (7, count))
