@@ -3,16 +3,11 @@
 
 #include <atomic>
 #include <cstddef>
-#include <optional>
 #include <string>
 
 #include "hal/rt/result.h"
 
 namespace godwit::app {
-
-/// Whose socket it is: the one that is named, that of the configuration, or the service's. Nothing: the configuration
-/// has mistakes, which were said.
-std::optional<std::string> live_socket(const std::string& named, const std::string& config_file);
 
 /// One thread.
 class LiveReader {

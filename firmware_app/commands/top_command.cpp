@@ -7,6 +7,7 @@
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/live_reader.h"
+#include "firmware_app/commands/live_socket.h"
 #include "firmware_app/commands/top_screen.h"
 #include "firmware_app/output/live_server.h"
 #include "firmware_app/program/exit_code.h"

@@ -5,6 +5,7 @@
 
 #include "firmware_app/commands/camera_run.h"
 #include "firmware_app/commands/live_reader.h"
+#include "firmware_app/commands/live_socket.h"
 #include "firmware_app/commands/live_watch.h"
 #include "firmware_app/commands/page_server.h"
 #include "firmware_app/program/exit_code.h"
