@@ -61,16 +61,6 @@ function(godwit_warnings target)
   endif()
 endfunction()
 
-# godwit_takes_no_bytes(TARGET): it gets numbers and pictures, and parses nothing. Undefined behaviour is looked for in it by
-# scripts/test full; half of all that the compiler spent on scripts/test's sanitizers went there. The address sanitizer is
-# whole in both: containers that one half of a program watches and the other does not would be false alarms.
-option(GODWIT_SANITIZE_WHOLE "Look for undefined behaviour in what takes no bytes from outside, too" ON)
-function(godwit_takes_no_bytes target)
-  if(NOT GODWIT_SANITIZE_WHOLE)
-    target_compile_options(${target} PRIVATE -fno-sanitize=fuzzer-no-link,undefined)
-  endif()
-endfunction()
-
 # godwit_unity(OUT SOURCES...): the files that compile SOURCES, at most eight each. Made here, not by CMake's UNITY_BUILD,
 # whose files name the checkout and would make ccache take each checkout for another program.
 function(godwit_unity out)
