@@ -35,8 +35,12 @@ class Flight {
     t = moved_until(t);
     return amplitude_ * Vec3(0.4 * std::sin(1.9 * t), 0.3 * std::cos(2.3 * t), 0.2 * std::sin(1.5 * t + 2));
   }
-  /// After stops_at_ the motion comes to rest within a second.
+  /// Until rests_until_ it has not begun, and takes a second to; after stops_at_ it comes to rest within a second.
   double moved_until(double t) const {
+    if (rests_until_ > 0) {
+      const double begun = std::max(0.0, t - rests_until_), x = std::min(begun, 1.0);
+      return begun - x + x * x * x - x * x * x * x / 2;
+    }
     if (t <= stops_at_) return t;
     const double x = std::min(t - stops_at_, 1.0);
     return stops_at_ + x - x * x * x + x * x * x * x / 2;
@@ -88,7 +92,7 @@ class Flight {
 
   static constexpr double kStep = 1e-4;
   double amplitude_, scale_ = 2.5;
-  double stops_at_ = 1e9;  ///< [s]
+  double rests_until_ = 0, stops_at_ = 1e9;  ///< [s]; one of the two
   ImuBias bias_;
   CameraMounting mounting_ = slanted_mounting();
   InertialModel model_ = quiet();

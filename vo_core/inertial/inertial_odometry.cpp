@@ -8,16 +8,24 @@ namespace godwit::vo {
 
 using S = InertialState;
 
+namespace {
+
+/// How sure one is of a gyroscope's bias that was seen some seconds ago, by a map before or at rest [rad/s].
+constexpr double kKeptGyroSigma = 2e-3;
+
+}  // namespace
+
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
     : MetricMap(options.stray),
       options_(options),
       prior_(options.prior),
       begin_accel_sigma_(options.begin_bias_margin * options.prior.accel_bias_sigma),
+      rest_(options.model.imu, options.model.gravity_m_s2, options.prior.gyro_bias_sigma),
       smoother_(mounting, options.model),
       aids_(options.aids) {}
 
 void InertialOdometry::add(const ImuReading& reading) {
-  buffer_.add(reading);
+  if (buffer_.add(reading)) rest_.add(reading);
   if (smoother_.size() == 0) return;
   // Not up to the reading: a picture may be late.
   const rt::TimeNs t_node_ns = smoother_.node(smoother_.size() - 1).t_ns;
@@ -126,7 +134,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     const auto sigma = [&](int i, int n, double floor) {
       return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment(i, n).maxCoeff()));
     };
-    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, 2e-3));
+    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, kKeptGyroSigma));
     prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
     begin_accel_sigma_ = std::min(begin_accel_sigma_, sigma(S::kAccelBias, 3, 3e-2));
     // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
@@ -145,6 +153,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
   node.t_ns = measured_moment_of(pose);
   node.sight = sight_of(pose, node.t_ns);
   smoother_.add(node);
+  first_vertical_ = rest_.at(node.t_ns, buffer_);
   smoother_.state(0).bias = prior_.bias;
   smoother_.state(0).mounting = prior_.mounting;
   smoother_.state(0).time_offset_s = prior_.time_offset_s;
@@ -164,6 +173,7 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   }
   node.sight = sight_of(pose, node.t_ns);
   while (metric() && smoother_.size() >= options_.window) smoother_.drop_oldest();
+  if (smoother_.size() == InertialSmoother::kNodes) first_vertical_.go_on(smoother_.node(1).since_last);
   smoother_.add(node);
   return true;
 }
@@ -180,9 +190,13 @@ bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
   if (!(up_sigma < options_.begin_up_sigma))
     return refuse("the vertical is not seen: its sigma [rad]", up_sigma, options_.begin_up_sigma);
   const double chi2 = report.chi2 / std::max(1, report.rows);
-  if (!(chi2 < options_.begin_chi2))
-    return refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
-  return plausible(4);
+  const bool fits =
+      chi2 < options_.begin_chi2
+          ? plausible(4)
+          : refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
+  // It may not have been a rest: the next attempt goes without.
+  if (!fits) first_vertical_.known = false;
+  return fits;
 }
 
 bool InertialOdometry::plausible(double most_sigmas) {
@@ -211,7 +225,8 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   for (int i = 0; i < n; ++i) nodes[i] = smoother_.node(i);
   const std::span<const InertialNode> window(nodes.data(), n);
   ImuBias bias = prior_.bias;
-  bias.gyro = align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
+  bias.gyro = stood() ? first_vertical_.gyro_bias
+                      : align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
   const ScaleHint others = hint();
   const Alignment found =
       align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
@@ -225,7 +240,8 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   S& first = smoother_.state(0);
   first.bias = found.bias;
   first.log_scale = found.log_scale;
-  first.up = found.up;
+  // A vertical is linearised where it counts from: not at one that vision's accelerations may have tilted by far.
+  first.up = stood() ? first_vertical_.in_map(first.R_map_body, found.bias.accel) : found.up;
   first.velocity = found.velocity;
   first.mounting = prior_.mounting;
   first.time_offset_s = prior_.time_offset_s;
@@ -238,7 +254,7 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
     set_prior(prior_.accel_bias_sigma, course);
     if (!smoother_.solve(2).ok) return;
   }
-  begin(pose, smoother_.newest().up);
+  begin(pose, up_seen());
   strayed2_ = 0;
 }
 
@@ -255,7 +271,13 @@ void InertialOdometry::set_prior(double accel_bias_sigma, double course_sigma) {
   InertialPrior prior = prior_;
   prior.accel_bias_sigma = accel_bias_sigma;
   prior.course_sigma = course_sigma;
+  if (stood()) {
+    // What the gyroscope read at rest is its bias; else a young map, which turns by itself, would be taken for one.
+    prior.bias.gyro = first_vertical_.gyro_bias;
+    prior.gyro_bias_sigma = std::min(prior.gyro_bias_sigma, kKeptGyroSigma);
+  }
   smoother_.set_prior(prior);
+  if (stood()) smoother_.add_vertical(first_vertical_);
 }
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
@@ -273,7 +295,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   if (pose.map_moved) {
     before_.T_map_cam = SE3(so3_exp(pose.turned_by) * before_.T_map_cam.R, before_.T_map_cam.t + pose.moved_by);
     smoother_.correct_map(correction_of(pose, before_.t_ns, smoother_.newest().camera));
-    correct(pose, smoother_.newest().up);
+    correct(pose, up_seen());
   }
   // Not where the sensor is silent: then the picture before is not measured, either.
   const rt::TimeNs reach_ns = buffer_.newest_ns() + options_.unmeasured_ns;
@@ -295,7 +317,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
       prior_kept_ = false;
       begin_window(pose);
     } else {
-      anchor_.level(smoother_.newest().up);
+      anchor_.level(up_seen());
       stray_on();
     }
   }
@@ -309,13 +331,31 @@ bool InertialOdometry::in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_
   return true;
 }
 
+Mat3 InertialOdometry::R_seen_map() const {
+  const S& x = smoother_.newest();
+  const Mat3 R_map_cam = x.R_map_body * smoother_.mounting().R_body_cam * so3_exp(x.mounting);
+  return smoother_.node(smoother_.size() - 1).sight.R_map_cam * R_map_cam.transpose();
+}
+
+Eigen::Matrix<double, 3, S::kSize> InertialOdometry::shared_by_window() const {
+  const S& x = smoother_.newest();
+  const Mat3 R_nav_window = anchor_.R_nav_map() * R_seen_map();
+  // The camera's vertical is R_cam_body R_body_map up, and the map turns back by as much as it errs.
+  const auto turned = [&](const auto& d_up) { return (-R_nav_window * skew(x.up) * d_up).template topRows<2>().eval(); };
+  const Mat3 R_map_cam = x.R_map_body * smoother_.mounting().R_body_cam * so3_exp(x.mounting);
+  Eigen::Matrix<double, 3, S::kSize> J = Eigen::Matrix<double, 3, S::kSize>::Zero();
+  J(0, S::kScale) = 1;
+  J.block<2, 3>(1, S::kRotation) = turned(skew(x.up) * x.R_map_body);
+  J.block<2, 2>(1, S::kUp) = turned(x.up_basis());
+  J.block<2, 3>(1, S::kMounting) = turned(skew(x.up) * R_map_cam * so3_right_jacobian(x.mounting));
+  return J;
+}
+
 MetricPose InertialOdometry::tell(const VisualPose& pose) {
   const S& x = smoother_.newest();
-  const Mat3& R_nav_map = anchor_.R_nav_map();
-  // From the two errors of the window's vertical to those about the frame's x and y: the map turns back by as much.
-  Mat3 to_nav = Mat3::Identity();
-  to_nav.bottomRightCorner<2, 2>() = -(R_nav_map * (skew(x.up) * x.up_basis())).topRows<2>();
-  Mat3 shared = doubt2() * to_nav * smoother_.covariance().block<3, 3>(S::kScale, S::kScale) * to_nav.transpose();
+  const Eigen::Matrix<double, 3, S::kSize> J = shared_by_window();
+  const Eigen::Matrix<double, 3, S::kSize> JC = J.lazyProduct(smoother_.covariance());
+  Mat3 shared = doubt2() * JC.lazyProduct(J.transpose());
   shared(0, 0) += options_.told_scale_sigma * options_.told_scale_sigma;
   MetricPose out = pose_in_frame(pose, x.scale(), shared, strayed2_);
   const double place =
@@ -328,7 +368,7 @@ MetricPose InertialOdometry::tell(const VisualPose& pose) {
 
 void InertialOdometry::tell_velocity(const VisualPose& pose, MetricPose* out) const {
   const S& x = smoother_.newest();
-  const Mat3& R_nav_map = anchor_.R_nav_map();
+  const Mat3 R_nav_map = anchor_.R_nav_map() * R_seen_map();
   // That of the newest moment, carried on to this frame.
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
   Preintegration d(x.bias);

@@ -10,6 +10,7 @@
 #include "vo_core/inertial/inertial_alignment.h"
 #include "vo_core/inertial/inertial_smoother.h"
 #include "vo_core/inertial/metric_map.h"
+#include "vo_core/inertial/rest_vertical.h"
 #include "vo_core/inertial/scale_aids.h"
 
 namespace godwit::vo {
@@ -105,6 +106,8 @@ class InertialOdometry : public MetricMap {
   void begin_window(const VisualPose& pose);
   /// How far the course may be off in a map that begins so [rad, an axis].
   double course_sigma(std::span<const InertialNode> window) const;
+  /// The vertical of its first moment is known from a rest before it.
+  bool stood() const { return first_vertical_.known && first_vertical_.sigma < options_.begin_up_sigma; }
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   void try_to_begin(const VisualPose& pose);
   /// Begins with what is known of the sensor, its accelerometer's bias as well as this.
@@ -114,6 +117,12 @@ class InertialOdometry : public MetricMap {
   bool convincing(const InertialSmoother::Report& report);
   /// What vision strayed by from the moment before to the newest one, as the window counts with it.
   void stray_on();
+  /// Vectors along the map's axes, from how the window has the newest moment turned in them to how vision has it.
+  Mat3 R_seen_map() const;
+  /// The vertical at the newest moment along the map's axes as vision has the camera turned in them.
+  Vec3 up_seen() const { return R_seen_map() * smoother_.newest().up; }
+  /// How the logarithm of the scale and that vertical, about the frame's x and y, answer to the newest moment's error.
+  Eigen::Matrix<double, 3, InertialState::kSize> shared_by_window() const;
   MetricPose tell(const VisualPose& pose);
   void tell_velocity(const VisualPose& pose, MetricPose* out) const;
   VisionSight sight_of(const VisualPose& pose, rt::TimeNs t_ns) const;
@@ -127,6 +136,8 @@ class InertialOdometry : public MetricMap {
   InertialPrior prior_;
   double begin_accel_sigma_;  ///< of prior_'s accelerometer bias where it is asked whether to begin [m/s^2]
   ImuBuffer buffer_;
+  RestVertical rest_;
+  KnownVertical first_vertical_;  ///< from a rest before, at the window's first moment until it is metric
   InertialSmoother smoother_;
   ScaleAids aids_;
   std::uint64_t aids_contradicted_ = 0;

@@ -83,6 +83,21 @@ void InertialSmoother::set_prior(const InertialPrior& p) {
   hold(S::kCourse, 3, p.course_sigma);
 }
 
+void InertialSmoother::add_vertical(const KnownVertical& vertical) {
+  // R_body_map up - (what was known + what the bias makes of it), by rotation, up and bias.
+  const InertialState& x = state(0);
+  const Vec3 up_body = x.R_map_body.transpose() * x.up;
+  Eigen::Matrix<double, 3, S::kSize> J = Eigen::Matrix<double, 3, S::kSize>::Zero();
+  J.block<3, 3>(0, S::kRotation) = skew(up_body);
+  J.block<3, 2>(0, S::kUp) = x.R_map_body.transpose() * x.up_basis();
+  J.block<3, 3>(0, S::kAccelBias) = -vertical.by_bias;
+  J /= vertical.sigma;
+  const Vec3 r = (up_body - vertical.up - vertical.by_bias * x.bias.accel) / vertical.sigma;
+  prior_H_ += J.transpose().lazyProduct(J);
+  // The prior counts from prior_at_, r from here.
+  prior_b_ += J.transpose().lazyProduct(J.lazyProduct(x.minus(prior_at_)) - r);
+}
+
 void InertialSmoother::add(const InertialNode& node) {
   if (count_ == kNodes) drop_oldest();
   InertialState x;

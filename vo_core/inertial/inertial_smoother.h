@@ -7,6 +7,7 @@
 
 #include "vo_core/inertial/inertial_factors.h"
 #include "vo_core/inertial/map_correction.h"
+#include "vo_core/inertial/rest_vertical.h"
 
 namespace godwit::vo {
 
@@ -56,6 +57,8 @@ class InertialSmoother {
 
   /// The prior of the oldest moment: biases, mounting, time, course; nothing of scale, vertical and velocity.
   void set_prior(const InertialPrior& prior);
+  /// Adds to that what is known of the vertical at the oldest moment.
+  void add_vertical(const KnownVertical& vertical);
 
   /// What others say of the logarithm of the newest moment's scale, one sigma; 0: nobody does. It counts in each
   /// solution and in no prior that a moment leaves, so that the same knowledge is never counted twice.

@@ -1,0 +1,73 @@
+// The vertical that an accelerometer shows while nothing moves it, carried on by the gyroscope once something does. A
+// vehicle stands before it takes off, and its map begins on the climb, when vision's own accelerations are those of a
+// map a second old.
+#pragma once
+
+#include <array>
+
+#include "vo_core/inertial/imu_preintegration.h"
+
+namespace godwit::vo {
+
+/// A vertical along the body's axes at one time: its direction is up + by_bias * b for an accelerometer's bias b.
+struct KnownVertical {
+  bool known = false;
+  Vec3 up = Vec3::Zero();         ///< unit vector against gravity, the bias taken for none
+  Mat3 by_bias = Mat3::Zero();    ///< [s^2/m]
+  double sigma = 0;               ///< of all but the bias [rad, an axis]
+  Vec3 gyro_bias = Vec3::Zero();  ///< what the gyroscope read at rest [rad/s]
+
+  /// Along the axes of a map in which the body is turned like this [m/s^2].
+  Vec3 in_map(const Mat3& R_map_body, const Vec3& accel_bias) const {
+    return (R_map_body * (up + by_bias * accel_bias)).normalized();
+  }
+  /// The same some time later, as far as the turn is what `d` measured.
+  void go_on(const Preintegration& d);
+};
+
+/// At rest is who measures for a second no more than the sensor's own noise: means over a tenth of it scatter as its
+/// densities say, of forces and of turns. In the air nobody does; a vehicle that shakes on the ground is not taken for
+/// one at rest, and its vertical is then found as in flight. One thread; no allocation.
+class RestVertical {
+ public:
+  /// gyro_sigma_rad_s: of the gyroscope's bias. Who turns by more than three of it is not at rest.
+  RestVertical(const ImuNoise& noise, double gravity_m_s2, double gyro_sigma_rad_s)
+      : noise_(noise), gravity_m_s2_(gravity_m_s2), gyro_sigma_rad_s_(gyro_sigma_rad_s) {}
+
+  /// Readings in the order of their times; a gap ends what is known.
+  void add(const ImuReading& reading);
+  /// At a time within the buffer, which holds the same readings.
+  KnownVertical at(rt::TimeNs t_ns, const ImuBuffer& buffer) const;
+
+ private:
+  static constexpr rt::TimeNs kBlockNs = 100 * rt::kNsPerMs;
+  static constexpr int kBlocks = 10;
+  /// Of a scatter of 27 degrees of freedom, as often exceeded by chance as in one of a million blocks; and the noise
+  /// may be twice what its file says, as it is here and there (docs/inertial.md).
+  static constexpr double kScatter = 3.0 * 4.0;
+  /// Of what was turned: how crooked and how wrongly scaled a gyroscope of this kind is (MPU-6000: 2 % and 3 %).
+  static constexpr double kTurnShare = 0.02;
+
+  struct Block {
+    Vec3 gyro = Vec3::Zero(), accel = Vec3::Zero();  ///< means
+  };
+  void close_block();
+  bool at_rest(Block* mean) const;
+
+  const ImuNoise noise_;
+  const double gravity_m_s2_, gyro_sigma_rad_s_;
+  std::array<Block, kBlocks> blocks_;
+  int blocks_full_ = 0, block_next_ = 0;
+  Block sum_;
+  int readings_ = 0;  ///< in sum_
+  rt::TimeNs t_block_ns_ = 0;
+  ImuReading last_;
+  bool heard_ = false;
+  // Since the last rest, up to the newest reading.
+  bool known_ = false;
+  Vec3 force_ = Vec3::Zero(), gyro_bias_ = Vec3::Zero();  ///< what was read at rest
+  Mat3 R_rest_body_ = Mat3::Identity();
+  rt::TimeNs t_rest_ns_ = 0;
+};
+
+}  // namespace godwit::vo
