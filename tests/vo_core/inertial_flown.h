@@ -49,6 +49,7 @@ class Flown {
     if (creeps_ != 0) creep(k, &pose);
     if (corrected_at_ > 0) correct(k, &pose);
     if (walks_ != 0) walk(t, &pose);
+    if (turns_ != 0) turn_as_a_whole(t, &pose);
     return odometry_->frame(pose);
   }
   /// As a map does that began on a climb over flat ground: its rotation walks by some 15 mrad in its first half second,
@@ -110,6 +111,22 @@ class Flown {
     pose->relative_covariance.diagonal().tail<3>().setConstant(1e-9);
     pose->covariance.diagonal().head<3>().setConstant(2.5 * walks_ * walks_);
   }
+  /// As a map does that began on a climb: as its depths become known it turns, and all that was flown in it with it.
+  void turn_as_a_whole(double t, VisualPose* pose) {
+    if (!tracked_) return;
+    if (turns_since_ < 0) {
+      turns_since_ = t;
+      turns_about_ = pose->T_map_cam.t;
+    }
+    const Vec3 axis = kUpInMap.cross(Vec3::UnitX()).normalized();
+    const Mat3 turn = so3_exp(turns_ * std::min(1.0, (t - turns_since_) / 1.5) * axis);
+    pose->T_map_cam = {turn * pose->T_map_cam.R, turns_about_ + turn * (pose->T_map_cam.t - turns_about_)};
+    pose->relative_age_ns = rt::kNsPerSecond / 2;
+    const bool turns = t - turns_since_ < 1.5;
+    pose->relative_covariance.diagonal().head<3>().setConstant(turns ? 2e-6 : 1e-9);
+    pose->relative_covariance.diagonal().tail<3>().setConstant(turns ? 2e-4 : 1e-7);
+    pose->covariance.diagonal().tail<3>().setConstant(turns_ * turns_);
+  }
   /// The true place less what is told; heading and place of the first pose are taken over, since nobody told them.
   Vec3 place_error(int k, const MetricPose& pose) {
     const double t = k / 20.0;
@@ -130,7 +147,10 @@ class Flown {
   bool silent_ = false, poison_ = false, tracked_ = true, young_ = false;
   Vec3 strayed_ = Vec3::Zero();
   double told_variance_ = 1e-9;
-  double lean_ = 0;    ///< [rad]
+  double lean_ = 0;   ///< [rad]
+  double turns_ = 0;  ///< [rad], over the first 1.5 s of the map
+  double turns_since_ = -1;
+  Vec3 turns_about_ = Vec3::Zero();
   double creeps_ = 0;  ///< share of the way
   Vec3 crept_ = Vec3::Zero(), before_ = Vec3::Zero(), last_camera_ = Vec3::Zero();
   int corrected_at_ = 0;

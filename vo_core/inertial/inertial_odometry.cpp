@@ -190,10 +190,9 @@ bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
   if (!(up_sigma < options_.begin_up_sigma))
     return refuse("the vertical is not seen: its sigma [rad]", up_sigma, options_.begin_up_sigma);
   const double chi2 = report.chi2 / std::max(1, report.rows);
-  const bool fits =
-      chi2 < options_.begin_chi2
-          ? plausible(4)
-          : refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
+  const bool fits = chi2 < options_.begin_chi2
+                        ? plausible(4)
+                        : refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
   // It may not have been a rest: the next attempt goes without.
   if (!fits) first_vertical_.known = false;
   return fits;
@@ -341,7 +340,9 @@ Eigen::Matrix<double, 3, S::kSize> InertialOdometry::shared_by_window() const {
   const S& x = smoother_.newest();
   const Mat3 R_nav_window = anchor_.R_nav_map() * R_seen_map();
   // The camera's vertical is R_cam_body R_body_map up, and the map turns back by as much as it errs.
-  const auto turned = [&](const auto& d_up) { return (-R_nav_window * skew(x.up) * d_up).template topRows<2>().eval(); };
+  const auto turned = [&](const auto& d_up) {
+    return (-R_nav_window * skew(x.up) * d_up).template topRows<2>().eval();
+  };
   const Mat3 R_map_cam = x.R_map_body * smoother_.mounting().R_body_cam * so3_exp(x.mounting);
   Eigen::Matrix<double, 3, S::kSize> J = Eigen::Matrix<double, 3, S::kSize>::Zero();
   J(0, S::kScale) = 1;
