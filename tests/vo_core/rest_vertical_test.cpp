@@ -157,10 +157,10 @@ TEST(RestVertical, AMapThatBeginsOnATakeOffHasTheVerticalThatItStoodWith) {
   EXPECT_LT(tilt / told, 0.025);
 }
 
-// A map of a take-off turned by 60 mrad in the second and a half after it had begun, and the way flown in it turned
-// along: seen by how attitudes turned it stayed true to a thousandth. Levelled by where the map had been upright,
-// places leant.
-TEST(RestVertical, PlacesTurnBackWithAMapThatTurnsAsAWhole) {
+// A map of a take-off turns by 60 mrad in the second and a half after it has begun, and the way flown in it along with
+// it. Levelled by the window's vertical along the map's axes, beside attitudes as vision sees them, those leant by 18
+// mrad.
+TEST(RestVertical, AMapThatTurnsAsAWholeIsLevelledAsVisionSeesTheCamera) {
   double error2 = 0, tilt = 0, nees = 0;
   int told = 0;
   for (unsigned seed = 1; seed <= 12; ++seed) {
