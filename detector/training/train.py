@@ -197,7 +197,7 @@ def train(args: argparse.Namespace) -> int:
     if (out / WEIGHTS).exists():
         # Wherever it ran: another version of OpenCV decodes some pixels and finds some unlabelled people otherwise.
         checkpoint.load_own(out / WEIGHTS, identity(args), but=("pictures_sha256",))
-        print(f"{out / WEIGHTS}: the weights of this run, which has ended", flush=True)
+        print(f"{out / WEIGHTS}: the weights of this run, which has ended; its pictures were not looked at again", flush=True)
         return 0
     pictures = load_pictures(args)
     choosing = choose.pictures_that_choose(Path(args.data), args.permissive)

@@ -126,6 +126,24 @@ TEST(RestVertical, IsToldOfTheTimeThatIsAskedFor) {
   EXPECT_LT((on.up - now.up).norm() + (on.by_bias - now.by_bias).norm(), 1e-3);
 }
 
+/// A vehicle that stands for two seconds and takes off; its map begins on the climb, 0.3 s later.
+struct TakeOff {
+  explicit TakeOff(unsigned seed) : flight_(3.0, seed), flown_(&flight_, true) { flight_.rests_until_ = 2; }
+  MetricPose frame(int k) {
+    flown_.tracked_ = k >= kMapFrom;
+    return flown_.frame(k);
+  }
+  Mat3 R_camera(int k) const { return flight_.R(k / 20.0) * flight_.mounting_.R_body_cam; }
+  /// Between the vertical along the camera's axes as it is and as it is told [rad].
+  double tilt(int k, const MetricPose& pose) const {
+    return angle_between(pose.T_nav_cam.R.transpose() * Vec3::UnitZ(), R_camera(k).transpose() * Vec3::UnitZ());
+  }
+
+  static constexpr int kMapFrom = 46;
+  Flight flight_;
+  Flown flown_;
+};
+
 // A vehicle that stands, takes off, and whose map begins on the climb: a map a second old shows motion askew (by 0.3
 // rad in simulated take-offs), and the vertical that its accelerations had to explain alone was off by 3 to 5 degrees,
 // eight times the variance that was told.
@@ -133,18 +151,14 @@ TEST(RestVertical, AMapThatBeginsOnATakeOffHasTheVerticalThatItStoodWith) {
   double nees = 0, tilt = 0;
   int told = 0;
   for (unsigned seed = 1; seed <= 12; ++seed) {
-    Flight f(3.0, 900 + seed);
-    f.rests_until_ = 2;
-    Flown flown(&f, true);
-    flown.lean_ = 0.3;
+    TakeOff off_ground(900 + seed);
+    off_ground.flown_.lean_ = 0.3;
     int first = -1;
     for (int k = 0; k < 160 && (first < 0 || k < first + 40); ++k) {
-      flown.tracked_ = k >= 46;
-      const MetricPose pose = flown.frame(k);
+      const MetricPose pose = off_ground.frame(k);
       if (!pose.valid) continue;
       if (first < 0) first = k;
-      const Mat3 R_cam = f.R(k / 20.0) * f.mounting_.R_body_cam;
-      const Vec3 off = pose.T_nav_cam.R * R_cam.transpose() * Vec3::UnitZ();
+      const Vec3 off = pose.T_nav_cam.R * off_ground.R_camera(k).transpose() * Vec3::UnitZ();
       const Eigen::Vector2d e(-off.y(), off.x());
       nees += e.dot(pose.covariance.block<2, 2>(3, 3).llt().solve(e)) / 2;
       tilt += e.norm();
@@ -164,19 +178,16 @@ TEST(RestVertical, AMapThatTurnsAsAWholeIsLevelledAsVisionSeesTheCamera) {
   double error2 = 0, tilt = 0, nees = 0;
   int told = 0;
   for (unsigned seed = 1; seed <= 12; ++seed) {
-    Flight f(3.0, 950 + seed);
-    f.rests_until_ = 2;
-    Flown flown(&f, true);
+    TakeOff off_ground(950 + seed);
+    Flown& flown = off_ground.flown_;
     flown.turns_ = 0.06;
     for (int k = 0; k < 160; ++k) {
-      flown.tracked_ = k >= 46;
-      const MetricPose pose = flown.frame(k);
+      const MetricPose pose = off_ground.frame(k);
       if (!pose.valid) continue;
       const Vec3 e = flown.place_error(k, pose);
       // From when the map no longer turns.
-      if (k < 46 + 30 || k == flown.begun_) continue;
-      const Mat3 R_cam = f.R(k / 20.0) * f.mounting_.R_body_cam;
-      tilt += angle_between(pose.T_nav_cam.R.transpose() * Vec3::UnitZ(), R_cam.transpose() * Vec3::UnitZ());
+      if (k < TakeOff::kMapFrom + 30 || k == flown.begun_) continue;
+      tilt += off_ground.tilt(k, pose);
       error2 += e.squaredNorm();
       nees += e.dot(pose.covariance.topLeftCorner<3, 3>().llt().solve(e)) / 3;
       ++told;
@@ -192,19 +203,16 @@ TEST(RestVertical, AMapThatTurnsAsAWholeIsLevelledAsVisionSeesTheCamera) {
 // It may not have been a rest: on a ship's deck that gathers way a sensor reads a steady force that is not gravity
 // alone.
 TEST(RestVertical, AMapThatContradictsItBeginsWithoutIt) {
-  Flight f(3.0, 990);
-  f.rests_until_ = 2;
-  const Vec3 bias = f.bias_.accel;
-  Flown flown(&f, true);
+  TakeOff off_ground(990);
+  Vec3& read = off_ground.flight_.bias_.accel;
+  const Vec3 bias = read;
   double tilt = 0;
   int told = 0;
   for (int k = 0; k < 160; ++k) {
-    f.bias_.accel = k < 44 ? Vec3(bias + Vec3(0, 3, 0)) : bias;
-    flown.tracked_ = k >= 46;
-    const MetricPose pose = flown.frame(k);
+    read = k < 44 ? Vec3(bias + Vec3(0, 3, 0)) : bias;
+    const MetricPose pose = off_ground.frame(k);
     if (!pose.valid || k < 120) continue;
-    const Mat3 R_cam = f.R(k / 20.0) * f.mounting_.R_body_cam;
-    tilt += angle_between(pose.T_nav_cam.R.transpose() * Vec3::UnitZ(), R_cam.transpose() * Vec3::UnitZ());
+    tilt += off_ground.tilt(k, pose);
     ++told;
   }
   ASSERT_EQ(told, 40);
