@@ -58,7 +58,6 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
   PipelineCounters counters;
   // By count, not by time: two runs must be equal.
   Scheduler scheduler(counting_frames(options.scheduler));
-  DetectionOrders orders(false, options.scheduler.mask_age_ns);
   rt::TimeNs tracked_count = 0;
   // Relaxed: the flag orders nothing, it only ends the loop.
   while (!stop.load(std::memory_order_relaxed)) {
@@ -84,7 +83,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
       }
       if (options.detector != nullptr) {
         rt::FrameReturn back = pool->reader(kDetectorReader);
-        if (const auto job = orders.next(handle, record.is_keyframe, tracked_count, &scheduler, &back)) {
+        if (const auto job = order_detection(handle, record.is_keyframe, tracked_count, &scheduler, &back)) {
           const bool found = detect_guarded(options.detector, *job);
           back.give_back(job->frame.slot);
           if (const FoundBoxes* const boxes = found ? options.detector->found() : nullptr) sink->detection(*boxes);

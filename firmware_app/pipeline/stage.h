@@ -15,8 +15,8 @@ constexpr int kMapperReader = 1;
 constexpr int kFrameReaders = 2;
 constexpr int kDetectorReader = 2;
 constexpr int kFrameReadersWithDetector = 3;
-/// Frames that the detector may hold: the one it looks at, and two keyframes that wait for it.
-constexpr int kDetectorSlots = 3;
+/// Frames that the detector may hold: the one it looks at, and the one at hand.
+constexpr int kDetectorSlots = 2;
 
 /// Frames that an onlooker (pipeline/onlooker.h) may hold.
 constexpr int kOnlookerSlots = 4;

@@ -29,7 +29,6 @@ TrackerThread::TrackerThread(FrameStage* stage, rt::FramePool* pool, hal::Camera
       readers_(pool->layout().readers),
       back_(pool->reader(kTrackerReader)),
       scheduler_(scheduler_options(options)),
-      orders_(options.newest_frame, options.scheduler.mask_age_ns),
       detections_(options.newest_frame),
       camera_silence_("no picture", "pictures again", kSilenceNs),
       imu_silence_("IMU silent", "IMU heard again", options.imu_silence_ns) {}
@@ -197,7 +196,7 @@ void TrackerThread::look_after_detector(const rt::FrameHandle& handle, const Fra
     detector_failed_ = detections_.failed();
     if (options_.tap != nullptr) options_.tap->detector_failed(detector_failed_);
   }
-  const auto job = orders_.next(handle, record.is_keyframe, record.t_done_ns, &scheduler_, &back_);
+  const auto job = order_detection(handle, record.is_keyframe, record.t_done_ns, &scheduler_, &back_);
   if (!job) return;
   // Never full: the scheduler gives no second order before the first has come back.
   const bool pushed = channels_->jobs.try_push(*job);

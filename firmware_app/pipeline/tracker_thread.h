@@ -50,7 +50,6 @@ class TrackerThread {
   const int readers_;     ///< references to a frame
   rt::FrameReturn back_;  ///< this thread's way of giving slots back
   Scheduler scheduler_;
-  DetectionOrders orders_;
   DetectionWatch detections_;
   bool detector_failed_ = false;  ///< as the tap was told
   StateWatch state_;

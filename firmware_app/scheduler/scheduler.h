@@ -81,7 +81,7 @@ struct SchedulerCounters {
   std::uint64_t detections_failed = 0;  ///< of these: without a mask
   std::uint64_t detections_late = 0;    ///< of these: longer after their order than a mask should be old
   std::uint64_t detector_stuck = 0;     ///< times it was given up on
-  /// Keyframes that waited for the detector in vain: others came, or their mask would have come too late.
+  /// Keyframes that came while the detector was busy: it looks at the newest picture when it is done.
   std::uint64_t keyframes_undetected = 0;
 };
 
@@ -109,15 +109,11 @@ class Scheduler {
   /// How the machine is, whenever it was looked at. temperature_c: hottest, not-a-number where unknown.
   void machine(double temperature_c, bool throttled);
 
-  /// Shall a picture go to the detector now? keyframe: one waits; it does not wait for the period, only for the
-  /// detector's pause, from kLongPeriod on for the period of the rungs above. An order given counts as under way until
-  /// detection_done().
+  /// Shall the picture at hand go to the detector now? keyframe: it is one, and does not wait for the period, only for
+  /// the detector's pause, from kLongPeriod on for the period of the rungs above. An order given counts as under way
+  /// until detection_done().
   std::optional<DetectorOrder> order(rt::TimeNs now_ns, bool keyframe);
-  /// A detection ordered now of a picture of this age would end with a mask older than a mask should be.
-  bool too_old_to_detect(rt::TimeNs age_ns) const {
-    return age_ns + expected_ns(plan().input_px) > options_.mask_age_ns;
-  }
-  /// A keyframe waits no longer.
+  /// A keyframe came and went.
   void keyframe_undetected() { ++counters_.keyframes_undetected; }
   /// The detection under way has ended; its mask is of the frame captured at t_capture_ns. failed: there is no mask.
   void detection_done(rt::TimeNs now_ns, rt::TimeNs t_capture_ns, bool failed);

@@ -10,7 +10,7 @@ namespace {
 
 constexpr rt::TimeNs kFrame = 33'333'333;
 
-/// A pool whose slots all must come back, and the orders of one flight.
+/// A pool whose slots all must come back.
 class DetectionOrdersTest : public ::testing::Test {
  protected:
   DetectionOrdersTest() {
@@ -47,13 +47,12 @@ TEST_F(DetectionOrdersTest, CountingFramesTheyComeAsPlainCountingSays) {
     options.period_frames = period;
     options.frame_ns = rt::kNsPerSecond / 2;  // a slow camera changes nothing
     Scheduler scheduler(counting_frames(options));
-    DetectionOrders orders(false, options.mask_age_ns);
     rt::FrameReturn back = pool->reader(0);
     std::mt19937 random(1);
     int since = period;
     for (int i = 0; i < 500; ++i) {
       const bool keyframe = random() % 5 == 0;
-      const auto job = orders.next(frame(i), keyframe, i, &scheduler, &back);
+      const auto job = order_detection(frame(i), keyframe, i, &scheduler, &back);
       const bool expected = ++since >= period || keyframe;
       ASSERT_EQ(job.has_value(), expected) << i;
       if (!job) continue;
@@ -68,41 +67,26 @@ TEST_F(DetectionOrdersTest, CountingFramesTheyComeAsPlainCountingSays) {
   }
 }
 
-TEST_F(DetectionOrdersTest, WhileOneIsUnderWayTheNewestTwoKeyframesWait) {
+TEST_F(DetectionOrdersTest, KeyframesThatCameMeanwhileAreNotKeptAndTheNewestPictureIsNext) {
   Scheduler scheduler(options);
-  DetectionOrders orders(true, options.mask_age_ns);
   rt::FrameReturn back = pool->reader(0);
   const auto next = [&](int i, bool keyframe) {
     const rt::FrameHandle f = frame(i);
-    return orders.next(f, keyframe, f.meta.t_capture_ns + rt::kNsPerMs, &scheduler, &back);
+    return order_detection(f, keyframe, f.meta.t_capture_ns + rt::kNsPerMs, &scheduler, &back);
   };
   auto job = next(0, false);
   ASSERT_TRUE(job);
-  for (int i = 1; i <= 4; ++i) EXPECT_FALSE(next(i, i != 2));
-  EXPECT_EQ(free_slots(), 5) << "the one under way and two keyframes";
+  for (int i = 1; i <= 3; ++i) EXPECT_FALSE(next(i, i != 3));
+  EXPECT_EQ(free_slots(), 7) << "but for the one under way";
+  EXPECT_EQ(scheduler.counters().keyframes_undetected, 2u);
   back.give_back(job->frame.slot);
-  scheduler.detection_done(rt::kNsPerSecond + 4 * kFrame, job->frame.meta.t_capture_ns, false);
-  EXPECT_EQ(scheduler.counters().keyframes_undetected, 1u);
-  job = next(6, false);
+  scheduler.detection_done(rt::kNsPerSecond + 3 * kFrame, job->frame.meta.t_capture_ns, false);
+  job = next(4, false);
   ASSERT_TRUE(job) << "after its pause of a fifth";
-  EXPECT_TRUE(job->is_keyframe);
-  EXPECT_EQ(job->frame.meta.sequence, 3u) << "the oldest that waits";
-}
-
-TEST_F(DetectionOrdersTest, AKeyframeWhoseMaskWouldComeTooLateMakesWay) {
-  Scheduler scheduler(options);
-  DetectionOrders orders(true, options.mask_age_ns);
-  rt::FrameReturn back = pool->reader(0);
-  const rt::FrameHandle first = frame(0), key = frame(1), late = frame(30);
-  ASSERT_TRUE(orders.next(first, false, first.meta.t_capture_ns, &scheduler, &back));
-  EXPECT_FALSE(orders.next(key, true, key.meta.t_capture_ns, &scheduler, &back));
-  back.give_back(first.slot);
-  scheduler.detection_done(key.meta.t_capture_ns, first.meta.t_capture_ns, false);
-  const auto job = orders.next(late, false, late.meta.t_capture_ns, &scheduler, &back);
-  ASSERT_TRUE(job);
-  EXPECT_EQ(job->frame.meta.sequence, 30u) << "a second later";
   EXPECT_FALSE(job->is_keyframe);
-  EXPECT_EQ(scheduler.counters().keyframes_undetected, 1u);
+  EXPECT_EQ(job->frame.meta.sequence, 4u);
+  back.give_back(job->frame.slot);
+  EXPECT_EQ(free_slots(), 8);
 }
 
 }  // namespace
