@@ -64,7 +64,9 @@ void align_one_feature(benchmark::State& state) {
       patch.value[static_cast<std::size_t>(y * vo::kPatchBorderSize + x)] = ref.pyramid.level[0].at(295 + x, 195 + y);
   for ([[maybe_unused]] auto _ : state) {
     vo::Vec2f px(300.0f, 200.0f);
-    benchmark::DoNotOptimize(vo::align_2d(cur.pyramid.level[0], patch, 8, 4.0f, &px));
+    vo::AlignTemplate prepared;
+    benchmark::DoNotOptimize(vo::prepare_align_2d(patch, &prepared));
+    benchmark::DoNotOptimize(vo::align(cur.pyramid.level[0], prepared, 8, 4.0f, &px));
   }
 }
 BENCHMARK(align_one_feature)->Unit(benchmark::kNanosecond);

@@ -57,15 +57,4 @@ void BoxMask::update(std::span<const Box> boxes, const std::vector<bool>& movabl
   }
 }
 
-float BoxMask::covered() const {
-  const rt::ImageView& coarsest = view_.level[view_.levels - 1];
-  int masked = 0;
-  for (int y = 0; y < coarsest.height; ++y) {
-    const std::uint8_t* row = coarsest.row(y);
-    for (int x = 0; x < coarsest.width; ++x) masked += row[x] != 0 ? 1 : 0;
-  }
-  const int all = coarsest.width * coarsest.height;
-  return all > 0 ? static_cast<float>(masked) / static_cast<float>(all) : 0.F;
-}
-
 }  // namespace godwit::detector

@@ -32,8 +32,6 @@ class BoxMask {
 
   /// Valid until the next update().
   const rt::MaskPyramidView& view() const { return view_; }
-  /// Share of the coarsest level that is masked, 0..1: near 1 there is nothing left to navigate by.
-  float covered() const;
 
  private:
   void mask_box(const Box& box);

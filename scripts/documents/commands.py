@@ -191,24 +191,32 @@ def is_command(text):
                 or os.path.basename(first) in FOREIGN)
 
 
-def wrong_commands(text, known):
+def shown(text):
+    """(line, command) of each command that a document shows, but for those on a line with the mark."""
+    for number, line, in_code in lines_of(text):
+        if FREE in line:
+            continue
+        told = [line.strip()] if in_code else re.findall(r'`([^`]+)`', line)
+        # In a sentence one word is a name; links.py looks at those.
+        yield from ((number, p) for t in told for p in pieces(t) if is_command(p) and (in_code or ' ' in p))
+
+
+def lines_of(text):
+    """(number, line, whether it is code) of a document."""
     fenced, before_blank, in_code = False, True, False
     for number, line in enumerate(text.split('\n'), 1):
         if line.startswith('```'):
             fenced = not fenced
         else:
             in_code = fenced or line.startswith('    ') and (before_blank or in_code)
-            found = []
-            if in_code:
-                found = [p for p in pieces(line.strip()) if is_command(p)]
-            else:
-                for told in re.findall(r'`([^`]+)`', line):
-                    # One word is a name; links.py looks at those.
-                    found += [p for p in pieces(told) if is_command(p) and ' ' in p]
-                    if re.match(r'--[a-z]', told):
-                        yield from ((number, f'no program here has an option {o}') for o in options(told.split())
-                                    if o not in known.all_options())
-            if FREE not in line:
-                for command in found:
-                    yield from ((number, what) for what in wrong_in_command(command, known))
+            yield number, line, in_code
         before_blank = not line.strip() or line.startswith('#') and not fenced
+
+
+def wrong_commands(text, known):
+    for number, command in shown(text):
+        yield from ((number, what) for what in wrong_in_command(command, known))
+    for number, line, in_code in lines_of(text):
+        if not in_code:
+            for told in re.findall(r'`(--[a-z][^`]*)`', line):
+                yield from ((number, f'no program here has an option {o}') for o in options(told.split()) if o not in known.all_options())

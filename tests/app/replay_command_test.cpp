@@ -94,6 +94,18 @@ TEST_F(Replay, WhateverBecomesOfItsLogItFliesToItsEnd) {
   }
 }
 
+TEST(Simulator, FaultsOfItsInertialSensorAreDrawnBySeed) {
+  const TempFolder folder;
+  const auto readings = [&](const std::string& name, const std::string& more) {
+    EXPECT_EQ(godwit("sim street --frames 2 --seed 3 --out '" + folder / name + "' " + more).exit_code, 0);
+    return read_file(folder / name + "/imu.txt");
+  };
+  const std::string sound = readings("sound", ""), faulty = readings("faulty", "--imu-faults");
+  EXPECT_NE(sound, faulty);
+  EXPECT_EQ(faulty, readings("again", "--imu-faults"));
+  EXPECT_EQ(read_file(folder / "sound/groundtruth.txt"), read_file(folder / "faulty/groundtruth.txt"));
+}
+
 TEST_F(Replay, WatchesTheImuBesideTheCamera) {
   EXPECT_THAT(replay("--imu watch").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));
   EXPECT_THAT(replay("--imu on").text, HasSubstr("no IMU: neither imu.txt nor mav0/imu0/data.csv is there"));

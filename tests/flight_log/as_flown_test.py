@@ -34,11 +34,11 @@ def poses(out):
     return (out / 'pose.csv').read_bytes()
 
 
-def again(folder, name, *options):
+def again(folder, name, *options, flight=(*FLIGHT, '--render-ahead')):
     """A flight at real pace, and the same once more; how often a box was used, and the log."""
     first, second, log = folder / name, folder / (name + '.again'), folder / (name + '.log')
-    godwit(0, *FLIGHT, '--pace', 'real', '--render-ahead', '--log', log, '--out', first, *options)
-    said = godwit(0, *FLIGHT, '--as-flown', log / '000001.ulg', '--out', second, *options)
+    godwit(0, *flight, '--pace', 'real', '--log', log, '--out', first, *options)
+    said = godwit(0, *[w for w in flight if w != '--render-ahead'], '--as-flown', log / '000001.ulg', '--out', second, *options)
     count = poses(first).count(b'\n') - 1
     says(said, f'as flown: all {count} poses of the log are the same to the bit')
     if count < 20:
@@ -54,6 +54,8 @@ def main():
         folder = pathlib.Path(name)
         log = again(folder, 'masks', '--truth-masks', '--gate', 'on')
         seen = again(folder, 'detector', '--detector', 'on', '--imu', 'on')
+        godwit(0, 'sim', 'street', '--frames', str(FRAMES), '--out', folder / 'recorded')
+        again(folder, 'recording', '--imu', 'on', flight=('replay', folder / 'recorded'))
 
         out = folder / 'out'
         # What is missing of the flight.

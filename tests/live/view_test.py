@@ -26,6 +26,7 @@ from flying_daemon import PATIENCE_S, Daemon, fail  # noqa: E402
 
 GODWIT, GODWITD = sys.argv[1:3]
 BROWSER = 'chromium-headless-shell'
+LOOK_ON = pathlib.Path(__file__).resolve().parents[2] / 'benchmarks/look_on'
 LOOK_S = 60  # at most
 # Said by a script that the test adds: what the page shows, until it has been seen to change.
 WATCH = '''<script>
@@ -218,6 +219,9 @@ def main():
         picture = json.loads(until('no picture', lambda: '"jpeg"' in text_of(view.port, '/picture') and text_of(view.port, '/picture')))
         if picture['picture']['width'] != 640 or len(picture['picture']['features']) < 30:
             fail(f'{picture["picture"]["features"]}')
+        looked = subprocess.run([str(LOOK_ON), '--port', str(view.port), '--seconds', '2'], capture_output=True, text=True, check=False)
+        if not re.match(r'looked \d+ times: 1 flights, [1-9]\d* pictures, [1-9]\d* tracks\n$', looked.stdout):
+            fail(f'benchmarks/look_on does not look: {looked}')
         daemon.process.kill()
         daemon.process.wait()
         until('the end is not told', lambda: 'error' in view.status())

@@ -18,7 +18,7 @@ if len(sys.argv) < 2:
 BUILD = ['--build', sys.argv[1]]
 NONE = '-' + '-wings'  # not written out, because the tests are searched for options, too
 sys.path.insert(0, str(ROOT / 'scripts'))
-from documents import configuration, links, named_tests, reasons  # noqa: E402
+from documents import configuration, links, named_tests, reasons, runs  # noqa: E402
 
 
 def run(*words):
@@ -92,6 +92,26 @@ class CheckDocs(unittest.TestCase):
         self.assertEqual(self.findings('    godwit fly street --loop 2\n'), [], 'another command of the program has it')
         self.assertEqual(self.findings('    godwit fly street --loop 2\n', words=BUILD), ['1: `godwit fly` has no option --loop'])
         self.assertEqual(self.findings('    ctest -R no_such_test\n', words=BUILD), ['1: ctest knows no test no_such_test'])
+
+    def test_commands_are_run_by_a_test_or_marked(self):
+        told = 'no test runs `{}`, and scripts/documents/runs.py does not say why'
+        tests = runs.Tests(ROOT)
+        for good in ('godwit replay FOLDER --out DIR --imu on', 'godwit calibrate imu OUT --plot FILE', 'godwit --version', 'godwitd --config F',
+                     'benchmarks/metric simulator --seeds 1', 'tests/vm/run service', 'build/release/benchmarks/godwit-yardstick X',
+                     'scripts/package --generic', 'ctest -R accuracy', 'sudo modprobe can'):
+            self.assertEqual([key for key in runs.not_run(good, tests) if key not in runs.NOT_RUN], [], good)
+        # Each program without its tests.
+        for program, files, key in (('benchmarks/metric starts', r'metric_test', 'benchmarks/metric'),
+                                    ('scripts/from_video F', r'from_video|look_into|from_kitti', 'scripts/from_video'),
+                                    ('godwit sim street --imu-faults', r'replay_command', 'godwit sim --imu-faults'),
+                                    ('build/release/benchmarks/godwit-yardstick X', r'scripts/test$', 'godwit-yardstick'),
+                                    ('tests/service/memory_test.py X', r'service/CMake', 'tests/service/memory_test.py')):
+            self.assertEqual(list(runs.not_run(program, tests)), [], program)
+            fewer = runs.Tests(ROOT)
+            fewer.files = {name: text for name, text in tests.files.items() if not re.search(files, name)}
+            self.assertEqual(list(runs.not_run(program, fewer)), [key])
+            self.assertEqual(list(runs.wrong_runs(f'a\n\n    {program}\n', fewer)), [(3, told.format(key))])
+        self.assertEqual(len(list(runs.wrong_marks([], tests))), len(runs.NOT_RUN), 'a mark that no document needs is in vain')
 
     def test_each_hazard_names_a_test(self):
         table = '| # | failure | test |\n|---|---|---|\n'

@@ -1,11 +1,14 @@
 """scripts/evaluate --consistency against made-up flights whose covariance is known: what it must find true and what not."""
 import importlib.machinery
 import importlib.util
+import json
 import pathlib
+import subprocess
 import tempfile
 import unittest
 
 import numpy as np
+from PIL import Image
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 loader = importlib.machinery.SourceFileLoader('evaluate', str(ROOT / 'scripts' / 'evaluate'))
@@ -204,6 +207,21 @@ class Consistency(unittest.TestCase):
         self.assertEqual(result['direction_judged_share'], 0.0)
         self.assertNotIn('direction_nees_per_dof', result)
         self.assertAlmostEqual(result['nees_per_dof'], result['rotation_nees_per_dof'])
+
+    def test_as_a_command_with_a_truth_by_name_and_a_picture(self):
+        self.write_truth()
+        self.write_run()
+        for name in ('frames.csv', 'trajectory.tum'):
+            (self.folder / name).write_text('t,tracked\n0.0,1\n' if name == 'frames.csv' else '0 0 0 0 0 0 0 1 1\n')
+        picture = self.folder / 'consistency.png'
+        told = subprocess.run([str(ROOT / 'scripts/evaluate'), str(self.folder / 'truth.txt'), str(self.folder), '--consistency',
+                               '--truth', 'tum', '--plot', str(picture), '--json'], capture_output=True, text=True, check=True)
+        told = json.loads(told.stdout)
+        self.assertEqual(told['judged_frames'], FRAMES - AGE_FRAMES)
+        self.assertLess(told['nees_per_dof'], 0.5)  # with the truth's own errors added to a covariance that was true
+        with Image.open(picture) as opened:
+            opened.load()
+            self.assertGreater(opened.width, 300)
 
     def test_a_run_that_names_no_references_is_refused(self):
         self.write_truth()

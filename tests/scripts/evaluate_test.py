@@ -10,6 +10,7 @@ import tempfile
 import unittest
 
 import numpy as np
+from PIL import Image
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 loader = importlib.machinery.SourceFileLoader('evaluate', str(ROOT / 'scripts' / 'evaluate'))
@@ -53,6 +54,16 @@ class Evaluate(unittest.TestCase):
         self.assertEqual(result['first_pose_after_frames'], 4)
         self.assertEqual(result['tracked_share_after_first_pose'], 1.0)
         self.assertAlmostEqual(result['tracked_share'], 301 / 305)
+
+    def test_a_picture_of_it(self):
+        t, p = curve(301)
+        write_run(self.folder, t, p, [1] * len(t))
+        picture = self.folder / 'trajectory.png'
+        subprocess.run([str(ROOT / 'scripts/evaluate'), str(self.folder / 'truth.txt'), str(self.folder), '--plot', str(picture)],
+                       check=True, stdout=subprocess.DEVNULL)
+        with Image.open(picture) as opened:
+            opened.load()
+            self.assertGreater(opened.width, 300)
 
     def test_a_reader_that_leaves_early_is_no_trace(self):
         t, p = curve(301)

@@ -181,7 +181,7 @@ FLYER = '''#!/usr/bin/python3
 import pathlib, shutil, sys
 a = sys.argv
 here, out = pathlib.Path(__file__).parent, pathlib.Path(a[a.index('--out') + 1])
-sequence = pathlib.Path(a[2])
+sequence = here / 'sequence' if a[1] == 'fly' else pathlib.Path(a[2])
 with open(here / 'flown', 'a') as log:
     rows = [line for line in (sequence / 'imu.txt').read_text().splitlines() if line[0] != '#']
     log.write(' '.join(a[3:]) + ' ' + rows[0] + chr(10))
@@ -189,6 +189,9 @@ out.mkdir(parents=True)
 for name in ('pose.csv', 'frames.csv'):
     shutil.copy(here / name, out / name)
 (out / 'summary.json').write_text('{}')
+if a[1] == 'fly':
+    (here / 'scenarios').open('a').write(' '.join(a[2:]) + chr(10))
+    shutil.copy(sequence / 'groundtruth.txt', out / 'groundtruth.txt')
 '''
 
 
@@ -243,6 +246,14 @@ class Benchmark(stand_in.StandInTest):
         text = (self.folder / 'out' / 'sequence-mounting2' / 'camera.yaml').read_text()
         T = np.array([float(x) for x in text.split('[')[1].split(']')[0].split(',')]).reshape(4, 4)
         self.assertAlmostEqual(np.degrees(np.arccos((np.trace(T[:3, :3]) - 1) / 2)), 2.0, places=6)
+
+    def test_the_simulators_seeds_are_flown_and_judged_together(self):
+        said = self.run_it('simulator', '--scenarios', 'street,night', '--seeds', '2', '--first-seed', '7', '--frames', '900', '--imu-faults')
+        flown = [line.partition(' --sequential')[0] for line in (self.folder / 'scenarios').read_text().splitlines()]
+        self.assertEqual(flown, [f'{s} --seed {n} --frames 900 --imu-faults' for s in ('street', 'night') for n in (7, 8)])
+        self.assertIn('| night, 8 ', said)
+        self.assertIn('street: worst of 2 (0 never metric)', said)
+        self.assertRegex(said, r'all poses: mean NEES [\d.]+; [\d.]+, inside 95 %')
 
 
 if __name__ == '__main__':

@@ -9,11 +9,13 @@
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
 #include "tests/vo_core/aided_flown.h"
+#include "tests/vo_core/scale_source_name.h"
 
 namespace godwit::vo {
 namespace aided_odometry_test {
 
 using test::AidedFlown;
+using test::scale_source_name;
 using Source = ScaleSource;
 using Sources = std::vector<Source>;
 

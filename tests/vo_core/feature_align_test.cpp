@@ -30,6 +30,13 @@ ReferencePatch reference(double cx, double cy) {
   return r;
 }
 
+FeatureAlignResult align_2d(const rt::ImageView& image, const ReferencePatch& ref, int max_iterations,
+                            float max_shift_px, Vec2f* px) {
+  AlignTemplate prepared;
+  return prepare_align_2d(ref, &prepared) ? align(image, prepared, max_iterations, max_shift_px, px)
+                                          : FeatureAlignResult{};
+}
+
 TEST(FeatureAlign, FindsASubPixelShift) {
   for (const Vec2f& shift : {Vec2f(0.37f, -0.61f), Vec2f(1.4f, 0.9f), Vec2f(-1.8f, 0.2f)}) {
     const test::Picture p = picture(shift.x(), shift.y(), 1.0, 0.0);
@@ -63,7 +70,9 @@ TEST(FeatureAlign, AnEdgeIsFollowedAcrossOnly) {
       ref.value[static_cast<std::size_t>(y * kPatchBorderSize + x)] =
           static_cast<float>(128.0 + 80.0 * std::tanh(0.5 * (x - kPatchHalf - 1)));
   Vec2f px(30.0f, 31.0f);
-  ASSERT_TRUE(align_1d(p.view(), ref, Vec2f(1, 0), 10, 4.0f, &px).converged);
+  AlignTemplate across;
+  ASSERT_TRUE(prepare_align_1d(ref, Vec2f(1, 0), &across));
+  ASSERT_TRUE(align(p.view(), across, 10, 4.0f, &px).converged);
   EXPECT_NEAR(px.x(), 31.3f, 0.03f);
   EXPECT_FLOAT_EQ(px.y(), 31.0f);
   px = Vec2f(30.0f, 31.0f);

@@ -9,9 +9,12 @@
 
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
+#include "tests/vo_core/scale_source_name.h"
 
 namespace godwit::vo {
 namespace scale_aids_test {
+
+using test::scale_source_name;
 
 constexpr double kScale = 18;  // metres in a map unit
 

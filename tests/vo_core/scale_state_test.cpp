@@ -6,9 +6,12 @@
 #include <limits>
 #include <random>
 
+#include "tests/vo_core/scale_source_name.h"
+
 namespace godwit::vo {
 namespace scale_state_test {
 
+using test::scale_source_name;
 using Source = ScaleSource;
 using Verdict = ScaleVerdict;
 

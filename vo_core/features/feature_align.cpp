@@ -174,18 +174,4 @@ FeatureAlignResult align(const rt::ImageView& image, const AlignTemplate& prepar
                                          : align_dims<1>(image, prepared, max_iterations, max_shift_px, px);
 }
 
-FeatureAlignResult align_2d(const rt::ImageView& image, const ReferencePatch& ref, int max_iterations,
-                            float max_shift_px, Vec2f* px) {
-  AlignTemplate prepared;
-  return prepare_align_2d(ref, &prepared) ? align(image, prepared, max_iterations, max_shift_px, px)
-                                          : FeatureAlignResult{};
-}
-
-FeatureAlignResult align_1d(const rt::ImageView& image, const ReferencePatch& ref, const Vec2f& direction,
-                            int max_iterations, float max_shift_px, Vec2f* px) {
-  AlignTemplate prepared;
-  return prepare_align_1d(ref, direction, &prepared) ? align(image, prepared, max_iterations, max_shift_px, px)
-                                                     : FeatureAlignResult{};
-}
-
 }  // namespace godwit::vo

@@ -45,12 +45,4 @@ bool prepare_align_1d(const ReferencePatch& ref, const Vec2f& direction, AlignTe
 FeatureAlignResult align(const rt::ImageView& image, const AlignTemplate& prepared, int max_iterations,
                          float max_shift_px, Vec2f* px);
 
-/// Both at once, two degrees of freedom.
-FeatureAlignResult align_2d(const rt::ImageView& image, const ReferencePatch& ref, int max_iterations,
-                            float max_shift_px, Vec2f* px);
-
-/// The same along one unit direction of the picture only.
-FeatureAlignResult align_1d(const rt::ImageView& image, const ReferencePatch& ref, const Vec2f& direction,
-                            int max_iterations, float max_shift_px, Vec2f* px);
-
 }  // namespace godwit::vo

@@ -11,11 +11,6 @@ constexpr double kAnyScale = 7;
 
 }  // namespace
 
-const char* scale_source_name(ScaleSource source) {
-  constexpr const char* kNames[] = {"rangefinder", "barometer", "satellites", "configured height"};
-  return kNames[scale_source_index(source)];
-}
-
 ScaleState::ScaleState(const ScaleOptions& options) : options_(options) {
   P_[0][0] = kAnyScale * kAnyScale;
   for (std::size_t i = 0; i < kScaleSources; ++i) P_[1 + i][1 + i] = options_.bias_sigma[i] * options_.bias_sigma[i];

@@ -17,7 +17,6 @@ enum class ScaleSource : std::uint8_t {
   kStartHeight,  ///< height above ground at the start, as configured
 };
 constexpr std::size_t kScaleSources = 4;
-const char* scale_source_name(ScaleSource source);
 constexpr std::size_t scale_source_index(ScaleSource source) {
   return static_cast<std::size_t>(source);
 }
