@@ -33,8 +33,9 @@ void take_densities(const hal::ImuErrorModel& errors, vo::ImuNoise* imu) {
 
 }  // namespace
 
-vo::InertialOdometryOptions inertial_options(const hal::ImuErrorModel& errors) {
+vo::InertialOdometryOptions inertial_options(const hal::ImuErrorModel& errors, rt::TimeNs readout_ns) {
   vo::InertialOdometryOptions out;
+  out.readout_ns = readout_ns;
   take_densities(errors, &out.model.imu);
   // The gyroscope's bias keeps its wide prior: with a narrow one the turn that a map that began wrong makes was taken
   // for an absurd bias, and ended the window again and again.

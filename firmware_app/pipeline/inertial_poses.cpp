@@ -54,8 +54,8 @@ vo::MetricMoment moment_of(const vo::InertialOdometry& odometry, const vo::Metri
 }  // namespace
 
 InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s,
-                             const hal::ImuErrorModel& errors)
-    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam), inertial_options(errors))),
+                             const hal::ImuErrorModel& errors, rt::TimeNs readout_ns)
+    : odometry_(std::make_unique<vo::InertialOdometry>(mounting_of(T_body_cam), inertial_options(errors, readout_ns))),
       navigation_(std::make_unique<vo::NavigationFrame>(mounting_of(T_body_cam).t_body_cam_m,
                                                         navigation_options(errors, coast_ns))),
       coast_ns_(coast_ns),

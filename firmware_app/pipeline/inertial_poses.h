@@ -20,9 +20,10 @@ class InertialPoses {
  public:
   /// Row by row: camera points into the body, whose axes the sensor's readings have.
   /// coast_ns: how long a pose may come from that sensor alone. time_offset_s: what to add to the camera's times to
-  /// have that sensor's, as calibrated. errors: the sensor's, as far as they are known.
+  /// have that sensor's, as calibrated. errors: the sensor's, as far as they are known. readout_ns: of the camera's
+  /// rolling shutter, 0: global.
   InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeNs coast_ns, double time_offset_s = 0,
-                const hal::ImuErrorModel& errors = {});
+                const hal::ImuErrorModel& errors = {}, rt::TimeNs readout_ns = 0);
 
   void take(const hal::ImuSample& sample);
   void take(const hal::AidSample& sample);

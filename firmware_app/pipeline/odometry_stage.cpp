@@ -45,7 +45,8 @@ class OdometryStage final : public FrameStage {
         gyro_helps_(options.gyro_helps) {
     if (options.inertial_T_body_cam) {
       inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns,
-                                                  options.inertial_time_offset_s, options.inertial_errors);
+                                                  options.inertial_time_offset_s, options.inertial_errors,
+                                                  std::llround(options.readout_s * 1e9));
     } else if (options.aided_T_body_cam) {
       aided_ = std::make_unique<AidedPoses>(*options.aided_T_body_cam);
     }

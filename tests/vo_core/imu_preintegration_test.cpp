@@ -3,6 +3,7 @@
 #include "vo_core/inertial/imu_preintegration.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
@@ -154,6 +155,41 @@ TEST(ImuBuffer, TellsWhatIsMissing) {
   EXPECT_EQ(integrate(290 * ms, 410 * ms), 100 * ms);
   EXPECT_EQ(integrate(700 * ms, 720 * ms), 20 * ms);
   EXPECT_EQ(integrate(10 * ms, 20 * ms), 10 * ms);
+}
+
+TEST(ImuBuffer, TimesThatScatterCountAsNoiseWhereItShakes) {
+  // 60 m/s^2 at 85 Hz, read a thousand times a second, by a clock that is off by a third of a millisecond each time.
+  constexpr double kForce = 60, kRate = 2 * M_PI * 85, kScatterS = 0.3e-3;
+  std::mt19937 engine(7);
+  std::normal_distribution<double> normal;
+  const auto fly = [&](double scatter_s, double phase, Preintegration* d) {
+    ImuBuffer buffer;
+    for (int k = 0; k <= 300; ++k) {
+      ImuReading r;
+      const double t = 1e-3 * k, off = std::clamp(scatter_s * normal(engine), -0.45e-3, 0.45e-3);
+      r.t_ns = std::llround((t + off) * 1e9);
+      r.accel_m_s2 = Vec3(kForce * std::sin(kRate * t + phase), 0, kG);
+      if (!buffer.add(r)) ADD_FAILURE() << k;
+    }
+    buffer.integrate(std::llround(0.1 * 1e9), std::llround(0.2 * 1e9), {}, d);
+    return buffer.time_scatter_s();
+  };
+  double off2 = 0, told = 0, scatter = 0;
+  constexpr int kRuns = 200;
+  for (int run = 0; run < kRuns; ++run) {
+    const double phase = 0.1 * run;
+    Preintegration even, uneven;
+    EXPECT_EQ(fly(0, phase, &even), 0) << "even times";
+    scatter += fly(kScatterS, phase, &uneven) / kRuns;
+    const double off = uneven.dv({}).x() - even.dv({}).x();
+    off2 += off * off / kRuns;
+    told += uneven.covariance()(3, 3) / kRuns;
+    EXPECT_LT(even.covariance()(3, 3), 2e-5);
+  }
+  EXPECT_NEAR(scatter, kScatterS, 0.3 * kScatterS);
+  // The noise is told alike along all axes: the two that do not shake get a third of it each.
+  EXPECT_NEAR(std::sqrt(off2 / (3 * told)), 1, 0.4);
+  EXPECT_GT(told, 1e-4);
 }
 
 TEST(ImuBuffer, RefusesNonsenseAndKeepsTwoSeconds) {

@@ -95,8 +95,18 @@ class ImuBuffer {
   };
   /// Integrates from t0 to t1 >= t0, between readings by straight lines. What lies before the oldest reading, behind
   /// the newest or in a gap is bridged by holding the nearest, and told. Without any reading at all *out is left as it
-  /// is and everything is missing.
+  /// is and everything is missing. Where the times told scatter (time_scatter_s) a reading that differs from the one
+  /// before counts as that much worse: of a shake of 60 m/s^2 at 85 Hz half a millisecond makes 40 times the noise of
+  /// the sensor.
   Coverage integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, const ImuNoise& noise, Preintegration* out) const;
+
+  /// Mean, over span_ns around t_ns, of the turn since t_ns: rotation vector [rad] in the body's axes, to first order.
+  /// A steady turn, and so the gyroscope's bias, has none. Where readings do not reach the nearest is held. Zero
+  /// without readings.
+  Vec3 mean_turn(rt::TimeNs t_ns, rt::TimeNs span_ns) const;
+  /// How far a time told is off a sensor's even pace, one sigma [s]: by the steps of the last tenth of a second or so,
+  /// those that leave readings out aside. 0 with fewer than ten.
+  double time_scatter_s() const;
 
   bool empty() const { return count_ == 0; }
   rt::TimeNs newest_ns() const { return at(count_ - 1).t_ns; }  ///< not empty
@@ -105,6 +115,8 @@ class ImuBuffer {
 
  private:
   const ImuReading& at(std::size_t i) const { return readings_[(first_ + i) % kReadings]; }
+  /// The last reading at or before t_ns, or the oldest. Not empty.
+  std::size_t at_or_before(rt::TimeNs t_ns) const;
   std::array<ImuReading, kReadings> readings_;
   std::size_t first_ = 0, count_ = 0;
   std::uint64_t refused_ = 0;

@@ -10,17 +10,17 @@
 namespace godwit::vo {
 namespace {
 
-/// Error of a place for which the accelerometer's bias is weighed against its prior [m], and that prior [m/s^2].
+/// Least error of a place for which the accelerometer's bias is weighed against its prior [m], and that prior [m/s^2].
 constexpr double kPlaceSigma = 3e-3, kBiasSigma = 0.15;
 
 Mat3 body(const InertialNode& n, const CameraMounting& m) {
   return n.sight.R_map_cam * m.R_body_cam.transpose();
 }
 
-/// The weight of a hint among rows in metres whose error is kPlaceSigma.
-double weight_of(const ScaleHint& hint) {
+/// The weight of a hint among rows in metres with this error.
+double weight_of(const ScaleHint& hint, double place_sigma_m = kPlaceSigma) {
   if (!(hint.sigma > 0)) return 0;
-  const double share = kPlaceSigma / (hint.sigma * std::exp(hint.log_scale));
+  const double share = place_sigma_m / (hint.sigma * std::exp(hint.log_scale));
   return share * share;
 }
 
@@ -158,9 +158,10 @@ Alignment stepwise(std::span<const InertialNode> nodes, const CameraMounting& m,
   return out;
 }
 
-/// Unknowns: the first velocity, scale, the accelerometer's bias against `bias`, then gravity.
+/// Unknowns: the first velocity, scale, the accelerometer's bias against `bias`, then gravity. place_sigma_m: error of
+/// a place.
 Alignment whole(std::span<const InertialNode> nodes, const CameraMounting& m, const ImuBias& bias, double gravity,
-                const ScaleHint& hint) {
+                const ScaleHint& hint, double place_sigma_m) {
   Alignment out;
   Normal H = Normal::Zero();
   Unknowns b = Unknowns::Zero();
@@ -185,9 +186,9 @@ Alignment whole(std::span<const InertialNode> nodes, const CameraMounting& m, co
       for (int j = 0; j < kMostUnknowns; ++j) H(i, j) += A.col(i).dot(A.col(j));
     }
   }
-  H.block<3, 3>(4, 4).diagonal().array() += (kPlaceSigma / kBiasSigma) * (kPlaceSigma / kBiasSigma);
-  H(3, 3) += weight_of(hint);
-  b(3) += weight_of(hint) * std::exp(hint.log_scale);
+  H.block<3, 3>(4, 4).diagonal().array() += (place_sigma_m / kBiasSigma) * (place_sigma_m / kBiasSigma);
+  H(3, 3) += weight_of(hint, place_sigma_m);
+  b(3) += weight_of(hint, place_sigma_m) * std::exp(hint.log_scale);
   Unknowns rest = Unknowns::Zero();
   Vec3 g;
   if (!solve_with_gravity(H, b, 7, gravity, &rest, &g, &out.free_gravity_m_s2) || !(rest[3] > 0)) return out;
@@ -224,8 +225,13 @@ Vec3 align_gyro_bias(std::span<const InertialNode> nodes, const CameraMounting& 
 Alignment align(std::span<const InertialNode> nodes, const CameraMounting& mounting, const ImuBias& bias,
                 double gravity, AlignmentMethod method, const ScaleHint& hint) {
   if (nodes.size() < 4 || nodes.size() > InertialSmoother::kNodes) return {};
-  return method == AlignmentMethod::kStepwise ? stepwise(nodes, mounting, bias, gravity, hint)
-                                              : whole(nodes, mounting, bias, gravity, hint);
+  if (method == AlignmentMethod::kStepwise) return stepwise(nodes, mounting, bias, gravity, hint);
+  const Alignment found = whole(nodes, mounting, bias, gravity, hint, kPlaceSigma);
+  const VisionSight& last = nodes.back().sight;
+  if (!found.ok || !last.shakes()) return found;
+  // Places that shake are worse than that, and would pass for a bias.
+  const double place_sigma_m = std::hypot(kPlaceSigma, std::exp(found.log_scale) * last.own_position);
+  return whole(nodes, mounting, bias, gravity, hint, place_sigma_m);
 }
 
 }  // namespace godwit::vo

@@ -29,6 +29,7 @@ InertialState InertialState::plus(const Error& e) const {
   out.mounting += e.segment<3>(kMounting);
   out.time_offset_s += e[kTime];
   out.course += e.segment<3>(kCourse);
+  out.picture += e.segment<6>(kPicture);
   return out;
 }
 
@@ -45,6 +46,7 @@ InertialState::Error InertialState::minus(const InertialState& from) const {
   e.segment<3>(kMounting) = mounting - from.mounting;
   e[kTime] = time_offset_s - from.time_offset_s;
   e.segment<3>(kCourse) = course - from.course;
+  e.segment<6>(kPicture) = picture - from.picture;
   return e;
 }
 
@@ -58,6 +60,7 @@ Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const Came
   Vec6 r;
   r.head<3>() = turned + tau * (x.R_map_body * omega);
   r.tail<3>() = x.camera - sight.camera + tau * speed;
+  if (sight.shakes()) r -= x.picture;
   if (J == nullptr) return r;
   J->setZero();
   const Mat3 left_inverse = so3_right_jacobian_inverse(-turned);
@@ -71,6 +74,7 @@ Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const Came
   J->block<3, 3>(3, S::kGyroBias) = tau * per_s * x.R_map_body * skew(m.t_body_cam_m);
   J->block<3, 1>(3, S::kScale) = -tau * speed;
   J->block<3, 1>(3, S::kTime) = speed;
+  if (sight.shakes()) J->block<6, 6>(0, S::kPicture) = -Mat6::Identity();
   return r;
 }
 
@@ -156,16 +160,20 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   const double root = std::sqrt(d.dt_s());
   const Mat9 L = d.covariance().llt().matrixL();
   // Written out: of a matrix Eigen solves by blocks, which may allocate.
-  for (int row = 0; row < 9; ++row) {
-    for (int k = 0; k < row; ++k) {
-      (*r)[row] -= L(row, k) * (*r)[k];
-      J_i->row(row) -= L(row, k) * J_i->row(k);
-      J_j->row(row) -= L(row, k) * J_j->row(k);
+  const auto weigh_together = [&](int first, int rows, const auto& factor) {
+    for (int row = 0; row < rows; ++row) {
+      const int at = first + row;
+      for (int k = 0; k < row; ++k) {
+        (*r)[at] -= factor(row, k) * (*r)[first + k];
+        J_i->row(at) -= factor(row, k) * J_i->row(first + k);
+        J_j->row(at) -= factor(row, k) * J_j->row(first + k);
+      }
+      (*r)[at] /= factor(row, row);
+      J_i->row(at) /= factor(row, row);
+      J_j->row(at) /= factor(row, row);
     }
-    (*r)[row] /= L(row, row);
-    J_i->row(row) /= L(row, row);
-    J_j->row(row) /= L(row, row);
-  }
+  };
+  weigh_together(0, 9, L);
   const auto weigh = [&](int row, int rows, double sigma) {
     r->segment(row, rows) /= sigma;
     J_i->middleRows(row, rows) /= sigma;
@@ -183,12 +191,16 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   weigh(21, 1, model.time_walk * root);
   // Where it hardly moves as much as at the least: the rest is in `moving`.
   const double way = std::max((at_j.camera - at_i.camera).norm(), model.still * at_j.depth);
+  const auto own = [](const VisionSight& sight) { return sight.shakes() ? 0 : sight.own_position; };
   const double askew = std::max(position_stray(at_i, model), position_stray(at_j, model)) * d.dt_s() / way;
   weigh(22, 3, root * moving * model.course_stray * askew);
   weigh(25, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));
   weigh(28, 3,
         std::hypot(root * model.position_walk * at_i.depth, root * model.position_stray * position_rate,
-                   model.own_position * std::hypot(at_i.own_position, at_j.own_position)));
+                   model.own_position * std::hypot(own(at_i), own(at_j))));
+  if (!at_j.shakes()) return;
+  const Mat6 together = at_j.walk_correlation.llt().matrixL();
+  weigh_together(25, 6, together);
 }
 
 }  // namespace godwit::vo

@@ -14,7 +14,7 @@ constexpr double kStandardGravity = 9.80665;
 /// biases are metric. The map's own scale and vertical are part of the state and may change slowly from moment to
 /// moment: so far as vision's map drifts in them, they follow.
 struct InertialState {
-  static constexpr int kSize = 25;
+  static constexpr int kSize = 31;
   /// Where each part lies in a vector of errors.
   enum Index {
     kRotation = 0,
@@ -26,7 +26,8 @@ struct InertialState {
     kUp = 16,
     kMounting = 18,
     kTime = 21,
-    kCourse = 22
+    kCourse = 22,
+    kPicture = 25
   };
   using Error = Eigen::Matrix<double, kSize, 1>;
 
@@ -43,6 +44,9 @@ struct InertialState {
   /// as it lasts: as noise of single moments that would be taken for a bias and a lean of the vertical, surer and
   /// surer.
   Vec3 course = Vec3::Zero();
+  /// What vision is off by in this picture alone, beyond what it shares with its neighbours: rotation vector and place
+  /// along the map's axes [rad, map units]. Zero where the sight says that there is no such thing.
+  Vec6 picture = Vec6::Zero();
 
   double scale() const { return std::exp(log_scale); }
   /// Two directions at right angles to up, as columns: how up moves by its two errors.
@@ -74,6 +78,14 @@ struct VisionSight {
   double rotation_rate = 0, position_rate = 0;
   /// What it strayed in all since the map began, one sigma an axis [rad, map units].
   double rotation_in_map = 0, position_in_map = 0;
+  /// A camera that shakes within the readout of a rolling shutter: what one picture is off by, its neighbours are not.
+  /// Inverse covariance of InertialState::picture; zero: there is no such thing, and own_position is part of the walk.
+  Mat6 own_information = Mat6::Zero();
+  /// How the walk's six errors, rotation and place along the map's axes, hang together: correlations. A turn and a way
+  /// that look alike are mistaken for each other, and as the gyroscope knows the one, the other is known.
+  Mat6 walk_correlation = Mat6::Identity();
+
+  bool shakes() const { return own_information(0, 0) > 0; }
 };
 
 /// How vision and the slow parts err. Vision's error is a walk that is held near zero, neighbours share most of it, and

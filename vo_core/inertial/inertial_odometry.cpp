@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 
+#include "vo_core/inertial/rolling_sight.h"
+
 namespace godwit::vo {
 
 using S = InertialState;
@@ -16,7 +18,7 @@ constexpr double kKeptGyroSigma = 2e-3;
 }  // namespace
 
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
-    : MetricMap(options.stray),
+    : MetricMap(options.stray_as_seen()),
       options_(options),
       prior_(options.prior),
       begin_accel_sigma_(options.begin_bias_margin * options.prior.accel_bias_sigma),
@@ -78,8 +80,13 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose, rt::TimeNs t_ns) 
   sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
   // The rate over 10 ms around the frame.
   Preintegration around;
-  buffer_.integrate(t_ns - 5 * rt::kNsPerMs, t_ns + 5 * rt::kNsPerMs, options_.model.imu, &around);
+  const rt::TimeNs half_ns = std::max(5 * rt::kNsPerMs, options_.readout_ns / 2);
+  buffer_.integrate(t_ns - half_ns, t_ns + half_ns, options_.model.imu, &around);
   if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
+  if (options_.readout_ns > 0) {
+    const Vec3 mean_turn = buffer_.mean_turn(t_ns, options_.readout_ns);
+    see_rolling(pose, smoother_.mounting().R_body_cam, mean_turn, options_.model, &sight);
+  }
   return sight;
 }
 
@@ -296,10 +303,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     smoother_.correct_map(correction_of(pose, before_.t_ns, smoother_.newest().camera));
     correct(pose, up_seen());
   }
-  // Not where the sensor is silent: then the picture before is not measured, either.
-  const rt::TimeNs reach_ns = buffer_.newest_ns() + options_.unmeasured_ns;
-  const bool early = moment_of(pose) > reach_ns && pose.t_ns <= reach_ns && before_.map_id == pose.map_id;
-  const bool added = add_node(early ? before_ : pose, metric() ? options_.node_ns : options_.begin_node_ns);
+  const bool added = add_node(too_early(pose) ? before_ : pose, metric() ? options_.node_ns : options_.begin_node_ns);
   before_ = pose;
   before_.points = {};
   if (added && !metric()) {
@@ -333,7 +337,8 @@ bool InertialOdometry::in_map(const SE3& T_nav_cam, SE3* T_map_cam, std::uint32_
 Mat3 InertialOdometry::R_seen_map() const {
   const S& x = smoother_.newest();
   const Mat3 R_map_cam = x.R_map_body * smoother_.mounting().R_body_cam * so3_exp(x.mounting);
-  return smoother_.node(smoother_.size() - 1).sight.R_map_cam * R_map_cam.transpose();
+  // What the picture alone is off by is not the map's.
+  return so3_exp(x.picture.head<3>()) * smoother_.node(smoother_.size() - 1).sight.R_map_cam * R_map_cam.transpose();
 }
 
 Eigen::Matrix<double, 3, S::kSize> InertialOdometry::shared_by_window() const {

@@ -40,8 +40,17 @@ struct InertialOdometryOptions {
   /// Where readings do not reach a picture's moment by more than this, since it was stamped early, the picture before
   /// it is taken instead.
   rt::TimeNs unmeasured_ns = 10 * rt::kNsPerMs;
+  /// Rolling shutter, first row to last, around the picture's time; 0: global. What shakes within it is in the
+  /// picture's rows: vision's attitude is its mean over them, and what one picture is off by its neighbours are not.
+  rt::TimeNs readout_ns = 0;
   rt::TimeNs max_missing_ns = 100 * rt::kNsPerMs;  ///< without readings between two moments the window begins anew
   VisionStrayOptions stray;
+  /// What shakes a rolling shutter is in each picture alone.
+  VisionStrayOptions stray_as_seen() const {
+    VisionStrayOptions out = stray;
+    out.pictures_err_alone |= readout_ns > 0;
+    return out;
+  }
   double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
   /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
@@ -126,6 +135,15 @@ class InertialOdometry : public MetricMap {
   MetricPose tell(const VisualPose& pose);
   void tell_velocity(const VisualPose& pose, MetricPose* out) const;
   VisionSight sight_of(const VisualPose& pose, rt::TimeNs t_ns) const;
+  /// Readings do not reach that picture's moment, but that of the picture before, in the same map. Not where the sensor
+  /// is silent: then neither is measured. Where a shutter rolls they have to reach the last row, as what shakes does
+  /// not go on as it was.
+  bool too_early(const VisualPose& pose) const {
+    const bool rolls = options_.readout_ns > 0;
+    const rt::TimeNs reach_ns = buffer_.newest_ns() + (rolls ? -options_.readout_ns / 2 : options_.unmeasured_ns);
+    const bool before_is_measured = rolls ? moment_of(before_) <= reach_ns : pose.t_ns <= reach_ns;
+    return moment_of(pose) > reach_ns && before_is_measured && before_.map_id == pose.map_id;
+  }
   /// When that picture was taken on the sensor's clock, and the same as far as readings reach.
   rt::TimeNs moment_of(const VisualPose& pose) const;
   rt::TimeNs measured_moment_of(const VisualPose& pose) const {

@@ -112,6 +112,7 @@ void InertialSmoother::add(const InertialNode& node) {
   // Vision knows better where it is; the inertial sensor how it moves.
   x.R_map_body = node.sight.R_map_cam * (mounting_.R_body_cam * so3_exp(x.mounting)).transpose();
   x.camera = node.sight.camera;
+  x.picture.setZero();
   ++count_;
   nodes_[at(count_ - 1)] = node;
   states_[at(count_ - 1)] = x;
@@ -129,7 +130,14 @@ double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
   J.bottomRows<3>() /= position_sigma;
   H->noalias() += J.transpose().lazyProduct(J);
   b->noalias() -= J.transpose().lazyProduct(r);
-  return r.squaredNorm();
+  if (!sight.shakes()) {
+    H->diagonal().segment<6>(S::kPicture).array() += 1;  // nothing asks for it, and it stays zero
+    return r.squaredNorm();
+  }
+  const Vec6 own = sight.own_information * state(i).picture;
+  H->block<6, 6>(S::kPicture, S::kPicture) += sight.own_information;
+  b->segment<6>(S::kPicture) -= own;
+  return r.squaredNorm() + state(i).picture.dot(own);
 }
 
 double InertialSmoother::add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, S::Error* b_i, S::Error* b_j) const {
@@ -194,7 +202,8 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
     const int last_node = count_ - 1;
     w.H[last_node](S::kScale, S::kScale) += hint_weight_;
     w.b[last_node](S::kScale) += hint_weight_ * (hint_ - newest().log_scale);
-    report.rows = 6 * count_ + kPairRows * (count_ - 1) - InertialState::kSize * count_;
+    // A picture's own error is a residual and an unknown.
+    report.rows = 6 * count_ + kPairRows * (count_ - 1) - S::kPicture * count_;
     // Elimination from the oldest; H[k] then holds the moment's block with all before it taken in.
     for (int k = 0; k < count_; ++k) {
       w.H[k].diagonal().array() += 1e-9;
@@ -239,6 +248,7 @@ void InertialSmoother::correct_map(const MapCorrection& c) {
     x->velocity = turn * x->velocity;
     x->up = turn * x->up;
     x->course = turn * x->course;
+    x->picture << turn * x->picture.head<3>(), turn * x->picture.tail<3>();
   };
   if (count_ > 0) move_state(node(0).t_ns, &prior_at_);
   for (int i = 0; i < count_; ++i) {

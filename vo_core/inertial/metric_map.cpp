@@ -15,7 +15,8 @@ void VisionStray::judge(const VisualPose& pose) {
   if (pose.relative_age_ns <= 0) return;
   const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.age_ns));
   const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
-  const auto variances = pose.relative_covariance.diagonal();
+  Vec6 variances = pose.relative_covariance.diagonal();
+  if (options_.pictures_err_alone) variances = (variances - 2 * pose.own_covariance.diagonal()).cwiseMax(0.0);
   position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
   rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
 }

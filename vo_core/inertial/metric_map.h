@@ -49,6 +49,9 @@ struct VisionStrayOptions {
   /// later, told from the second second on: 0.5 mrad.
   rt::TimeNs memory_ns = 5 * rt::kNsPerSecond;
   rt::TimeNs strayed_ns = kStrayedNs;  ///< before a correction of the map
+  /// What shakes a rolling shutter is another thing in each picture: the frame's own noise, and the keyframe's, which
+  /// is as large, are then in what is told of the pose relative to the keyframe, and are no walk.
+  bool pictures_err_alone = false;
 };
 
 /// How fast vision strays, by what the tracker says itself. Plain value; no allocation.
