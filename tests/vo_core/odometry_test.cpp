@@ -1,4 +1,5 @@
 // Tracker and mapper together on rendered pictures with exact truth.
+#include <algorithm>
 #include <cstring>
 #include <gtest/gtest.h>
 #include <memory>
@@ -122,6 +123,20 @@ TEST(Odometry, AFlightBesideASlowMapperIsFlownAgainToTheBit) {
   again.orders.clear();
   EXPECT_GT(unequal(flown, run_odometry(order, {}, 0, nullptr, again)), 50)
       << "without them it would be another flight";
+}
+
+// A log of another program may tell of a mapper that had room where this one has none: its deltas are never fetched, so
+// it stands.
+TEST(Odometry, AnOrderThatThisFlightCannotMeetIsNoHarm) {
+  Pace of_another;
+  of_another.late = mask_of_a_corner();
+  of_another.orders.assign(60, FrameOrder{100, 0});
+  const Flown flown = run_odometry(forward(60), {}, 0, nullptr, of_another);
+  ASSERT_EQ(flown.frames.size(), 60u);
+  EXPECT_EQ(flown.frames.back().order.room, 0) << "what there was, not what was told";
+  const auto tracked =
+      std::count_if(flown.frames.begin(), flown.frames.end(), [](const FrameResult& r) { return r.tracked; });
+  EXPECT_GT(tracked, 10);
 }
 
 TEST(Odometry, NothingIsAllocatedAfterTheFirstPose) {

@@ -1,6 +1,7 @@
 // The tracker: a frame in, a pose out. Owns the map; never waits for the mapper.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <memory>
@@ -223,7 +224,9 @@ class Tracker {
   /// Messages that may be sent with this frame. Looked at once: what the mapper takes meanwhile counts for the next.
   int room() {
     if (room_ < 0) {
-      order_.room = expected_.room >= 0 ? expected_.room : static_cast<int>(channel_->messages.free_items());
+      // Never more than there is: what is expected may be another flight's.
+      const int free = static_cast<int>(channel_->messages.free_items());
+      order_.room = expected_.room >= 0 ? std::min(expected_.room, free) : free;
       room_ = order_.room;
     }
     return room_;
