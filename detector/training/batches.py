@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 import data
-from augment import CUT_SHARE, View, cut, mosaic, single
+from augment import CUT, CUT_SHARE, NOTHING_SHARE, View, cut, mosaic, nothing, single
 from data import Picture
 
 MOSAIC_SHARE = 0.4
@@ -37,7 +37,11 @@ def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[
                 views.append(mosaic(four, recipe.window, recipe.view, rng))
                 continue
             p = pool[rng.integers(0, len(pool))]
-            how = cut if source == "coco" and rng.random() < CUT_SHARE else single
+            share, how = rng.random(), single
+            if source in CUT and share < CUT_SHARE:
+                how = cut
+            elif source == "coco" and share < CUT_SHARE + NOTHING_SHARE:
+                how = nothing
             views.append(how(p, recipe.window, recipe.view, rng))
     return views
 

@@ -56,20 +56,25 @@ def figures(net: PathAggregation, pictures: dict[str, list[Picture]], view: int,
     return out
 
 
+def gate_inputs(pictures: dict[str, list[Picture]]) -> torch.Tensor:
+    """The first pictures of each set, n x 3 x rows x columns of 0..1. They fill the input, so that no letterbox's border counts."""
+    seen = [p.image for s, n in GATE_PICTURES.items() for p in pictures.get(s, [])[:n]]
+    planes = [cv2.resize(image, GATE_INPUT, interpolation=cv2.INTER_AREA).transpose(2, 0, 1) for image in seen]
+    return torch.from_numpy(np.array(planes, np.float32).reshape(-1, 3, *GATE_INPUT[::-1]) / 255)
+
+
 @torch.no_grad()
 def gate_spreads(net: PathAggregation, pictures: dict[str, list[Picture]], device: torch.device) -> dict[str, float]:
     """How much each gate follows what it sees. Channel gates: the standard deviation of each channel's over the pictures,
-    averaged over the channels; spatial ones: of all places of all pictures. The pictures fill the input, so that no
-    letterbox's border counts. Empty without CBAM. `net` must be in evaluation mode."""
-    seen = [p.image for s, n in GATE_PICTURES.items() for p in pictures.get(s, [])[:n]]
-    if not net.cbam or len(seen) < 2:
+    averaged over the channels; spatial ones: of all places of all pictures. Empty without CBAM. `net` must be in evaluation mode."""
+    inputs = gate_inputs(pictures)
+    if not net.cbam or len(inputs) < 2:
         return {}
-    inputs = np.stack([cv2.resize(image, GATE_INPUT, interpolation=cv2.INTER_AREA) for image in seen])
     held: dict[str, list[tuple[torch.Tensor, torch.Tensor]]] = {k: [] for k in net.cbam}
     hooks = [block.register_forward_pre_hook(lambda m, x, k=k: held[k].append(tuple(g.cpu() for g in m.gates(x[0]))))
              for k, block in net.cbam.items()]
     for image in inputs:
-        net.features(torch.from_numpy(image).to(device).permute(2, 0, 1)[None].float() / 255)
+        net.features(image[None].to(device))
     for hook in hooks:
         hook.remove()
     out = {}

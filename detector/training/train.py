@@ -52,18 +52,18 @@ def find_unlabelled_people(model: Path, pictures: list[Picture], threshold: floa
 def parameter_groups(net: PathAggregation, frozen: int, lr: float, scratch: bool) -> list[dict]:
     """Heads learn at the full rate, the neck at a half, the backbone at a fifth, the first stages not; from scratch all of
     them at the full rate. Attention at ten times that, and its weights are not drawn to zero."""
-    groups: dict[float, list[torch.nn.Parameter]] = {ATTENTION_RATE: [], 1.0: [], 0.5: [], 0.2: []}
+    groups: dict[tuple[float, float], list[torch.nn.Parameter]] = {}
     for name, parameter in net.named_parameters():
         if name.startswith("cbam."):
-            groups[ATTENTION_RATE].append(parameter)
-            continue
-        layer = int(name.split(".")[1])
-        if layer < frozen:
-            parameter.requires_grad_(False)
+            share, decay = ATTENTION_RATE, 0.0
         else:
-            groups[1.0 if scratch or layer == 24 else 0.5 if layer >= 10 else 0.2].append(parameter)
-    return [{"params": p, "lr": lr * share, "share": share, "weight_decay": 0.0 if share == ATTENTION_RATE else 5e-4}
-            for share, p in groups.items() if p]
+            layer, decay = int(name.split(".")[1]), 5e-4
+            if layer < frozen:
+                parameter.requires_grad_(False)
+                continue
+            share = 1.0 if scratch or layer == 24 else 0.5 if layer >= 10 else 0.2
+        groups.setdefault((share, decay), []).append(parameter)
+    return [{"params": p, "lr": lr * share, "share": share, "weight_decay": decay} for (share, decay), p in groups.items()]
 
 
 class Average:
@@ -107,7 +107,7 @@ def load_pictures(args: argparse.Namespace) -> dict[str, list[Picture]]:
 class Run:
     """A network as it learns. State is what a checkpoint holds; all else follows from the options."""
 
-    def __init__(self, args: argparse.Namespace):
+    def __init__(self, args: argparse.Namespace, pictures: dict[str, list[Picture]]):
         self.args, self.device = args, torch.device(args.device)
         self.scratch = args.start == "scratch"
         self.net, self.teacher = self._make(not args.no_attention), None
@@ -117,6 +117,8 @@ class Run:
             families.start(self.teacher, args.family, args.size, Path(args.data))
             self.teacher.eval().fuse().to(self.device)
         self.net.to(self.device)
+        if not self.scratch and self.net.cbam:
+            self.net.eval().begin_attention(choose.gate_inputs(pictures).to(self.device))
         # From COCO the norms keep its statistics; from scratch there are none yet.
         self.net.train(self.scratch)
         self.groups = parameter_groups(self.net, 0 if self.scratch else args.frozen, args.lr, self.scratch)
@@ -202,7 +204,7 @@ def train(args: argparse.Namespace) -> int:
     pictures = load_pictures(args)
     choosing = choose.pictures_that_choose(Path(args.data), args.permissive)
     options = identity(args) | {"pictures_sha256": data.digest(pictures)}
-    run, path = Run(args), out / "checkpoint.pt"
+    run, path = Run(args, pictures), out / "checkpoint.pt"
     if path.exists():
         run.take(checkpoint.load_own(path, options))
         print(f"goes on from step {run.step}", flush=True)

@@ -197,6 +197,7 @@ int run_camera(hal::Camera* camera, const hal::CameraCalibration& calibration, c
 
   PipelineOptions pipeline;
   pipeline.sequential = plan.sequential;
+  pipeline.sequential_detection_ns = config.pipeline.detection_ms * rt::kNsPerMs;
   pipeline.as_flown = flown ? &*flown : nullptr;
   pipeline.newest_frame = plan.pace == "real";
   parts.plan_detector(&pipeline);

@@ -17,6 +17,7 @@ struct Config {
   struct Pipeline {
     int frame_slots = 0;          ///< 0: as many as the odometry needs
     int mapper_delay_frames = 2;  ///< --sequential: results of the mapper arrive so many frames later
+    int detection_ms = 0;         ///< --sequential: what the detector finds comes so much later than it was asked
   } pipeline;
 
   struct Threads {

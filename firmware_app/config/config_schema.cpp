@@ -148,6 +148,7 @@ std::vector<Key> config_keys(Config* c) {
   std::vector<Key> out = {
       keys::whole("pipeline.frame_slots", 0, rt::kMaxFrameSlots, &c->pipeline.frame_slots),
       keys::whole("pipeline.mapper_delay_frames", 1, 30, &c->pipeline.mapper_delay_frames),
+      keys::whole("pipeline.detection_ms", 0, 5000, &c->pipeline.detection_ms),
 
       keys::flag("threads.lock_memory", &c->threads.lock_memory),
   };

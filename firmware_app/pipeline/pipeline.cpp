@@ -1,11 +1,11 @@
 #include "firmware_app/pipeline/pipeline.h"
 
 #include <cassert>
+#include <optional>
 
 #include "firmware_app/pipeline/as_flown.h"
-#include "firmware_app/pipeline/detection_orders.h"
-#include "firmware_app/pipeline/detector_thread.h"
 #include "firmware_app/pipeline/feeder.h"
+#include "firmware_app/pipeline/sequential_detector.h"
 #include "firmware_app/pipeline/state_watch.h"
 #include "firmware_app/pipeline/threaded_pipeline.h"
 #include "hal/rt/rt_scope.h"
@@ -56,9 +56,8 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
   const auto told = std::make_unique<ReadingRing>();
   StateWatch state;
   PipelineCounters counters;
-  // By count, not by time: two runs must be equal.
-  Scheduler scheduler(counting_frames(options.scheduler));
-  rt::TimeNs tracked_count = 0;
+  std::optional<SequentialDetector> detector;
+  if (options.detector != nullptr) detector.emplace(options, pool, sink);
   // Relaxed: the flag orders nothing, it only ends the loop.
   while (!stop.load(std::memory_order_relaxed)) {
     rt::FrameHandle handle;
@@ -67,6 +66,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     if (outcome == Feeder::Outcome::kEnd) break;
     if (outcome == Feeder::Outcome::kNothing) continue;
     if (outcome == Feeder::Outcome::kFrame) {
+      if (detector) detector->before(handle.meta.t_capture_ns);
       if (options.imu != nullptr) hand_readings(&imu, handle.meta.t_capture_ns, told.get(), stage, sink);
       {
         const rt::RtScope real_time;
@@ -81,16 +81,7 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
         record.mapper_cpu_ns = rt::thread_cpu_now_ns() - before;
         record.stage_ns[kMapStage] = record.mapper_cpu_ns;
       }
-      if (options.detector != nullptr) {
-        rt::FrameReturn back = pool->reader(kDetectorReader);
-        if (const auto job = order_detection(handle, record.is_keyframe, tracked_count, &scheduler, &back)) {
-          const bool found = detect_guarded(options.detector, *job);
-          back.give_back(job->frame.slot);
-          if (const FoundBoxes* const boxes = found ? options.detector->found() : nullptr) sink->detection(*boxes);
-          scheduler.detection_done(tracked_count, job->frame.meta.t_capture_ns, !found);
-        }
-        ++tracked_count;
-      }
+      if (detector) detector->after(handle, record.is_keyframe);
     }
     count(record, &counters);
     auto taken = sink->take(record);

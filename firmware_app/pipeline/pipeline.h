@@ -79,6 +79,8 @@ struct FlownLog;
 
 struct PipelineOptions {
   bool sequential = false;  ///< everything in the calling thread, in a fixed order
+  /// Sequential only: what the detector finds comes so much of the recording's time after it was asked; 0: at once.
+  rt::TimeNs sequential_detection_ns = 0;
   /// Threads only. True (a camera, or a replay at real pace): the camera is never held up; the tracker takes the newest
   /// frame and older ones are dropped; the scheduler steers. False (replay as fast as it goes): the feeder waits,
   /// nothing is dropped, nothing is shed.

@@ -158,6 +158,46 @@ class Attention(unittest.TestCase):
             if name != 'mlp.0.bias':
                 self.assertGreater(float(p.grad.abs().max()), 0, name)
 
+    def test_it_begins_by_what_is_seen(self):
+        # With weights of a guessed size the units between were silent for every picture, and the gates stayed constants.
+        rng = np.random.default_rng(1)
+        for level in (0.01, 1.0, 30.0):  # whatever size the maps are of
+            torch.manual_seed(0)
+            block = model.Cbam(64)
+            x = torch.from_numpy(rng.gamma(0.5, level, (8, 64, 12, 16)).astype(np.float32))
+            x *= torch.from_numpy(rng.uniform(0.5, 1.5, (8, 64, 1, 1)).astype(np.float32))  # pictures differ
+            block.begin(x, 0.25)
+            channel, spatial = block.gates(x)
+            self.assertAlmostEqual(float(channel.std(0, unbiased=False).mean()), 0.25 / 4, delta=0.004)
+            self.assertAlmostEqual(float(spatial.std(unbiased=False)), 0.25 / 4, delta=0.004)
+            np.testing.assert_allclose(channel.mean(0).flatten().detach(), 0.5, atol=0.01)
+            self.assertAlmostEqual(float(spatial.mean()), 0.5, delta=0.01)
+            pools = torch.cat((x.mean((2, 3)), x.amax((2, 3))))[:, :, None, None]
+            units = torch.relu(block.mlp[0](pools)).flatten(1)
+            self.assertGreater(float(units.std(0).min()), 0.1)  # none is silent
+
+    def test_blocks_begin_one_after_the_other_and_only_attention_changes(self):
+        torch.manual_seed(0)
+        net, other = CbamYolov5('n').eval(), CbamYolov5('n').eval()
+        for key, value in other.cbam.state_dict().items():  # whatever was drawn before
+            self.assertTrue(torch.equal(net.cbam.state_dict()[key], value), key)
+        for module in net.modules():  # norms of what is seen, or nothing of it reaches the deep layers
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = 1.0
+        x = torch.rand(4, 3, 96, 128) * torch.rand(4, 1, 1, 1)
+        net.train()(x)
+        before = {k: v.clone() for k, v in net.state_dict().items()}
+        net.eval().begin_attention(x)
+        changed = {k for k, v in net.state_dict().items() if not torch.equal(v, before[k])}
+        self.assertEqual(changed, {k for k in before if k.startswith('cbam.')})
+        held = {}
+        for key, block in net.cbam.items():
+            block.register_forward_pre_hook(lambda b, seen, key=key: held.__setitem__(key, b.gates(seen[0])))
+        net.features(x)
+        for key, (channel, spatial) in held.items():  # each measured behind the gates before it, as they now are
+            self.assertAlmostEqual(float(spatial.mean()), 0.5, delta=0.01)
+            self.assertAlmostEqual(float(channel.mean()), 0.5, delta=0.01)
+
     def test_the_start_is_nearly_that_of_the_network_without(self):
         with tempfile.TemporaryDirectory() as folder:
             root = pathlib.Path(folder)

@@ -148,11 +148,12 @@ class Split(unittest.TestCase):
                 views[source] = views.get(source, 0) + count
         self.assertEqual(views, {'coco': 48, 'visdrone': 24, 'aerial_cars': 16, 'cats_topdown': 8})
 
-    def test_rendered_pictures_are_a_quarter_at_most(self):
+    def test_rendered_pictures_are_an_eighth_and_cost_vehicles_nothing(self):
         for batch in (8, 32):
             views = dict(data.sources_of_step(2, batch, simulated=True))
             self.assertEqual(sum(views.values()), batch)
-            self.assertEqual(views['simulated'] * 4, batch)
+            self.assertEqual(views['simulated'] * 8, batch)
+            self.assertEqual(views['cats_topdown'], dict(data.sources_of_step(2, batch))['cats_topdown'])
             self.assertEqual(list(views)[0], 'coco')
         for batch, simulated, wanted in ((6, False, 4), (12, True, 8), (0, False, 4)):
             with self.assertRaisesRegex(ValueError, f'multiple of {wanted}'):
@@ -216,6 +217,35 @@ class Views(unittest.TestCase):
         self.assertGreater(ways['head'], 60)
         self.assertGreater(ways['left'], 25)
         self.assertGreater(ways['right'], 25)
+
+    def test_rendered_vehicles_are_cut_at_each_edge(self):
+        edges = dict.fromkeys(range(4), 0)
+        for seed in range(200):
+            p = self.person()
+            p.source, p.labels = 'simulated', np.array([5])
+            v = augment.cut(p, 128, 128, np.random.default_rng(seed))
+            for x0, y0, x1, y1 in v.boxes:
+                border = 0 if y1 > 112.5 or y0 < 15.5 else 16
+                for edge, far in enumerate((x0, y0 - border, 128 - x1, 128 - border - y1)):
+                    edges[edge] += int(abs(far) < 1e-3)
+        self.assertGreater(min(edges.values()), 20, edges)
+
+    def test_a_part_that_shows_nothing_is_magnified(self):
+        shows = 0
+        for seed in range(60):
+            with unittest.mock.patch.object(augment, '_colour', lambda image, _: image):
+                v = augment.nothing(self.person(), 64, 64, np.random.default_rng(seed))
+            self.assertEqual(v.image.shape, (64, 64, 3))
+            if not len(v.boxes) and not len(v.ignore):
+                shows += 1
+                self.assertFalse((v.image[..., 0] > 0).any())  # nothing of the person, and no border
+        self.assertGreater(shows, 55)
+
+    def test_where_things_are_everywhere_the_view_is_as_any_other(self):
+        p = self.person()
+        p.boxes = np.float32([[0, 0, 320, 240]])
+        v = augment.nothing(p, 64, 64, np.random.default_rng(0))
+        self.assertEqual(len(v.boxes) + len(v.ignore), 1)
 
     def test_a_picture_without_people_is_not_cut(self):
         car = self.person()
