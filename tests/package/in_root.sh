@@ -28,10 +28,13 @@ if godwit calibrate camera /tmp/seen --board aprilgrid:6x6:0.088:0.3 >/tmp/calib
 grep -q 'the board was found in 0 pictures' /tmp/calibrate.log || { cat /tmp/calibrate.log; fail "godwit calibrate camera"; }
 say "godwit calibrate camera looks for boards"
 
-# The tools, where their package is among those installed.
-for tool in report evaluate from-video from-kitti; do
-  if dpkg-query -W godwit-tools >/dev/null 2>&1; then godwit-$tool --help >/tmp/tool.log 2>&1 || { cat /tmp/tool.log; fail "godwit-$tool"; }; fi
-done
+# The tools, where their package is among those installed; that dpkg has a line for it says no more than that another names it.
+if [ "$(dpkg-query -W -f '${db:Status-Status}' godwit-tools 2>/dev/null)" = installed ]; then
+  for tool in report evaluate from-video from-kitti; do
+    godwit-$tool --help >/tmp/tool.log 2>&1 || { cat /tmp/tool.log; fail "godwit-$tool"; }
+  done
+  say "godwit-report, -evaluate, -from-video and -from-kitti tell what they do"
+fi
 
 # The daemon in the foreground: it flies the simulated camera until it is told to end.
 printf '[camera]\nsource = "sim"\nscenario = "street"\npictures = 2\n[detector]\nenabled = false\n' >/tmp/sim.toml
