@@ -45,9 +45,9 @@ TEST(SequentialDetector, AnAnswerComesWithTheFirstPictureThatIsLateEnough) {
   DetectedRun run(12);
   run.options.sequential_detection_ns = 250 * rt::kNsPerMs;
   ASSERT_TRUE(run.go().ok());
-  // Asked with picture 0, done 250 ms later: before picture 3 is tracked, which is asked for as it is the newest; a
-  // slow detector's pause of a quarter of its time makes it 4.
-  EXPECT_THAT(run.detector.looks, ElementsAre(Pair(0, 2), Pair(4, 6), Pair(8, 10)));
+  // Asked with picture 0, done 250 ms later: there before picture 3 is tracked, which is the next to be looked at. What
+  // picture 9 shows would be there before the thirteenth.
+  EXPECT_THAT(run.detector.looks, ElementsAre(Pair(0, 2), Pair(3, 5), Pair(6, 8)));
   EXPECT_EQ(run.detector.wrong_pixels, 0u) << "its slot is kept for it";
 }
 
