@@ -120,15 +120,16 @@ def network_of_run(path: Path, newest: bool) -> tuple[PathAggregation, str, dict
 
 
 def network_of_runs(paths: list[Path], newest: bool) -> tuple[PathAggregation, str, dict]:
-    """As network_of_run(), of several the mean. ValueError unless they are alike and began alike: another seed draws CBAM
-    otherwise, and the mean of two that never were one is neither."""
+    """As network_of_run(), of several the mean. ValueError unless they are alike and began alike: from nothing another seed
+    draws another network, and the mean of two that never were one is neither."""
     net, what, gates = network_of_run(paths[0], newest)
     if len(paths) == 1:
         return net, what, gates
     held = [checkpoint.load(p) for p in paths]
     for path, other in zip(paths[1:], held[1:]):
         differ = [k for k in ("family", "size", "attention") if other[k] != held[0][k]]
-        differ += [k for k in ("seed", "start") if other["options"][k] != held[0]["options"][k]]
+        begun = ("start", "seed") if held[0]["options"]["start"] == "scratch" else ("start",)
+        differ += [k for k in begun if other["options"][k] != held[0]["options"][k]]
         if differ:
             raise ValueError(f"{path}: differs from {paths[0]} in {differ[0]}: no mean of these")
     states = [network_of_run(p, newest)[0].state_dict() for p in paths]

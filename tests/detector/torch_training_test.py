@@ -144,6 +144,17 @@ class Runs(InFolder):
             with self.assertRaisesRegex(ValueError, f'{name}/weights.pt: differs from .*a/weights.pt in {why}'):
                 export.network_of_runs([path('a'), path(name)], False)
 
+    def test_from_published_weights_other_seeds_begin_alike(self):
+        tiny_set.make_coco_arrays(self.root)
+        for seed in '01':
+            self.run_to_its_end(f'seed{seed}', '--seed', seed)
+        runs = [self.root / f'seed{seed}' / train.WEIGHTS for seed in '01']
+        a, b = (export.network_of_run(r, False)[0].state_dict() for r in runs)
+        self.assertFalse(torch.equal(a['model.24.m.0.weight'], b['model.24.m.0.weight']))  # other views
+        # What is not learnt, and what is learnt slowly, is still where both began.
+        torch.testing.assert_close(a['cbam.4.spatial.weight'], b['cbam.4.spatial.weight'], atol=5e-3, rtol=0.1)
+        self.assertEqual(export.network_of_runs(runs, False)[1], 'mean of 2 runs')
+
     def test_the_teacher_sees_pictures_in_their_own_colours(self):
         tiny_set.make_coco_arrays(self.root)
         seen = []

@@ -74,6 +74,19 @@ class Dynamic(stand_in.StandInTest):
         self.run_it('--worlds', 'still', '--guards', 'both', '--sequential')
         self.assertEqual(len(self.flown()), 2)
 
+    def test_a_network_that_takes_its_time_is_flown_from_other_pictures_on(self):
+        done = self.run_it('--worlds', 'still', '--guards', 'both', '--detection-ms', '85', '--runs', '3')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        flown = self.flown()
+        self.assertEqual([line.split('--start ')[1].split()[0] for line in flown], ['0', '10', '20'])
+        self.assertTrue(all('--sequential' in line for line in flown))
+        config = flown[0].split('--config ')[1].split()[0]
+        self.assertEqual(pathlib.Path(config).read_text(), '[pipeline]\ndetection_ms = 85\n')
+        self.run_it('--worlds', 'still', '--guards', 'both', '--detection-ms', '200', '--runs', '1')
+        self.assertEqual(len(self.flown()), 4)  # not that of 85 ms
+        for more in (['--sequential'], ['--detection-ms', '0']):
+            self.assertIn('sequential by itself', self.run_it('--detection-ms', '85', *more).stderr)
+
     def test_another_network_is_flown_again(self):
         other = self.folder / 'other.onnx'
         other.write_text('another network')
