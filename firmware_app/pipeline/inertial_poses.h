@@ -9,6 +9,7 @@
 #include "hal/aid/aid.h"
 #include "hal/imu/error_model.h"
 #include "hal/imu/imu.h"
+#include "vo_core/inertial/even_pace.h"
 #include "vo_core/inertial/inertial_odometry.h"
 #include "vo_core/inertial/navigation_frame.h"
 #include "vo_core/tracking/tracker.h"
@@ -45,6 +46,7 @@ class InertialPoses {
 
   std::unique_ptr<vo::InertialOdometry> odometry_;
   std::unique_ptr<vo::NavigationFrame> navigation_;
+  vo::EvenPace pace_;
   const rt::TimeNs coast_ns_;
   const rt::TimeNs shift_ns_;  ///< what is calibrated; all times within are the inertial sensor's
   InertialRecord sensor_;      ///< as known with the last picture that gave a metric pose

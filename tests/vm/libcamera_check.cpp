@@ -64,7 +64,8 @@ void left_alone(const DeviceSettings& settings) {
   const Seen s = w.take(30, 60 * rt::kNsPerSecond);
   const DeviceCounters& c = w.camera->counters();
   check(s.frames == 30 && s.not_later == 0 && s.bad <= 6 && c.gone == 0 && c.stalls == 0,
-        "nobody looks for three seconds: " + w.text(s));
+        "nobody looks for three seconds: " + w.text(s) + "; " + std::to_string(s.not_later) + " not later, " +
+            std::to_string(c.gone) + " times gone, " + std::to_string(c.stalls) + " stalls");
 }
 
 }  // namespace
