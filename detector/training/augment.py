@@ -14,13 +14,8 @@ BORDER = 114  # the value that letterboxing fills with
 ZOOM = {"coco": (0.25, 1.5), "cats_topdown": (0.2, 1.4), "aerial_cars": (0.85, 3.0), "visdrone": (0.9, 4.0),
         "simulated": (0.8, 1.6)}
 GREY_SHARE = 0.5  # of the views: two of three cameras here are grey
-# Of the views of one picture of these sets: a thing that the edge cuts, where there is one; what may be cut, by class.
-CUT_SHARE = 0.2
 PERSON = 0
-CUT = {"coco": (PERSON,), "simulated": (PERSON, 2, 5)}
-# Of the views of one COCO picture: a part of it that shows nothing, magnified. People whom the edge cuts teach that little is
-# enough to see one; without these views three of 57 pictures of euroc_mh01's dark hall were seen as one person each.
-NOTHING_SHARE = 0.1
+CUT = {"coco": (PERSON,), "simulated": (PERSON, 2, 5)}  # what an edge may cut, by set and class (cut())
 # Sets that look straight down, at least mostly, have no up: they may be turned.
 TURNED = frozenset({"cats_topdown", "aerial_cars"})
 VISIBLE_KEEP, VISIBLE_DROP = 0.35, 0.1  # share of a box still in view: above is learnt, between is left out
@@ -158,7 +153,7 @@ def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
 
 def nothing(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
     """As single(), but a part of the picture in which no thing is, a tenth to a half of its shorter side wide, magnified to fill
-    the view. Where none is found in sixteen draws: single()."""
+    the view: people whom the edge cuts teach that little is enough to see one. Where none is found in sixteen draws: single()."""
     h, w = p.image.shape[:2]
     things = np.concatenate((p.boxes, p.ignore))
     for _ in range(16):

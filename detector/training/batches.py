@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 import data
-from augment import CUT, CUT_SHARE, NOTHING_SHARE, View, cut, mosaic, nothing, single
+import methods
+from augment import View, cut, mosaic, nothing, single
 from data import Picture
 
 MOSAIC_SHARE = 0.4
@@ -23,13 +24,19 @@ class Recipe:
     window: int
     view: int
     permissive: bool = False
+    method: str = methods.DEFAULT
+
+    def sources(self, step: int, simulated: bool) -> list[tuple[str, int]]:
+        eighths = methods.METHODS[self.method].rendered_eighths if simulated else 0
+        return data.sources_of_step(step, self.batch, eighths, self.permissive)
 
 
 def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[View]:
     """COCO comes first: the teacher sees it too."""
     rng = np.random.default_rng((recipe.seed, step))
     views = []
-    for source, count in data.sources_of_step(step, recipe.batch, "simulated" in pictures, recipe.permissive):
+    method = methods.METHODS[recipe.method]
+    for source, count in recipe.sources(step, "simulated" in pictures):
         pool = pictures[source]
         for _ in range(count):
             if rng.random() < MOSAIC_SHARE:
@@ -37,18 +44,20 @@ def draw(pictures: dict[str, list[Picture]], recipe: Recipe, step: int) -> list[
                 views.append(mosaic(four, recipe.window, recipe.view, rng))
                 continue
             p = pool[rng.integers(0, len(pool))]
-            share, how = rng.random(), single
-            if source in CUT and share < CUT_SHARE:
-                how = cut
-            elif source == "coco" and share < CUT_SHARE + NOTHING_SHARE:
-                how = nothing
+            how = single
+            if source == "coco" or source == "simulated" and method.cut_rendered:
+                share = rng.random()
+                if share < method.cut_share:
+                    how = cut
+                elif source == "coco" and share < method.cut_share + method.nothing_share:
+                    how = nothing
             views.append(how(p, recipe.window, recipe.view, rng))
     return views
 
 
 def coco_views(pictures: dict[str, list[Picture]], recipe: Recipe) -> int:
     """How many views of a step are of COCO: the first ones of draw()."""
-    return data.sources_of_step(0, recipe.batch, "simulated" in pictures, recipe.permissive)[0][1]
+    return recipe.sources(0, "simulated" in pictures)[0][1]
 
 
 def to_tensors(views: list[View], taught: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -37,18 +37,20 @@ EDGE_SHARE = 0.075
 COCO_WITHOUT_OBJECTS = frozenset({"000000000250", "000000000508"})
 
 # Of the views of a step in eighths: half are of COCO (which the teacher sees too), a quarter of VisDrone and a quarter of
-# VEHICLE_TURNS: small vehicles take longest to learn. Rendered pictures take an eighth of COCO's: at a quarter, half of it the
-# vehicles', real vehicles were found less (aerial_cars 0.33 instead of 0.39).
-SHARES = {"coco": 4, "visdrone": 2, "vehicles": 2}
-SHARES_WITH_SIMULATED = {"coco": 3, "visdrone": 2, "vehicles": 2, "simulated": 1}
+# VEHICLE_TURNS: small vehicles take longest to learn. With rendered pictures these are a quarter, and COCO and the
+# vehicles give up an eighth each (real vehicles are then found less: aerial_cars 0.33 instead of 0.39), or an eighth, all COCO's.
+SHARES = {0: {"coco": 4, "visdrone": 2, "vehicles": 2},
+          1: {"coco": 3, "visdrone": 2, "vehicles": 2, "simulated": 1},
+          2: {"coco": 3, "visdrone": 2, "vehicles": 1, "simulated": 2}}
 VEHICLE_TURNS = ("aerial_cars", "aerial_cars", "cats_topdown")
 SETS = ("coco", "cats_topdown", "aerial_cars", "visdrone")
 # What a network may learn from whose licence nothing but names its sources, by how the pictures' names begin: of aerial_cars
 # DLR/KIT's (CC BY 3.0), not DJI's (CC BY-SA); of COCO all (annotations CC BY 4.0, pictures of Flickr: YOLOX-Nano, the start,
 # has learnt from them already). CATS states no licence, VisDrone is for academic use.
 PERMISSIVE = {"coco": ("",), "aerial_cars": ("MOS", "MunichStreet")}
-SHARES_PERMISSIVE = {"coco": 6, "aerial_cars": 2}
-SHARES_PERMISSIVE_WITH_SIMULATED = {"coco": 4, "aerial_cars": 2, "simulated": 2}
+SHARES_PERMISSIVE = {0: {"coco": 6, "aerial_cars": 2},
+                     1: {"coco": 5, "aerial_cars": 2, "simulated": 1},
+                     2: {"coco": 4, "aerial_cars": 2, "simulated": 2}}
 
 
 @dataclass
@@ -85,14 +87,12 @@ def sets_of(permissive: bool) -> tuple[str, ...]:
     return tuple(PERMISSIVE) if permissive else SETS
 
 
-def sources_of_step(step: int, batch: int, simulated: bool = False, permissive: bool = False) -> list[tuple[str, int]]:
-    """The sets that a step draws from, COCO first, with how many views each gives."""
-    if permissive:
-        shares = SHARES_PERMISSIVE_WITH_SIMULATED if simulated else SHARES_PERMISSIVE
-    else:
-        shares = SHARES_WITH_SIMULATED if simulated else SHARES
+def sources_of_step(step: int, batch: int, rendered_eighths: int = 0, permissive: bool = False) -> list[tuple[str, int]]:
+    """The sets that a step draws from, COCO first, with how many views each gives; so many eighths are rendered."""
+    shares = (SHARES_PERMISSIVE if permissive else SHARES)[rendered_eighths]
     if batch < 1 or any(batch * share % 8 for share in shares.values()):
-        raise ValueError(f"a batch of {batch} views cannot be shared out; it must be a multiple of {8 if simulated and not permissive else 4}")
+        multiple = 8 if any(share % 2 for share in shares.values()) else 4
+        raise ValueError(f"a batch of {batch} views cannot be shared out; it must be a multiple of {multiple}")
     turn = VEHICLE_TURNS[step % len(VEHICLE_TURNS)]
     return [(turn if source == "vehicles" else source, batch * share // 8) for source, share in shares.items()]
 

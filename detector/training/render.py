@@ -32,7 +32,12 @@ ENOUGH = {"person": 0.25, "car": 0.3, "truck": 0.3}
 PICTURES_PER_S = 1
 
 
-def scenarios_of(flown: bool) -> list[Path]:
+def scenarios_of(flown: bool, names: list[str] | None = None) -> list[Path]:
+    if names:
+        found = {p.stem: p for p in scenarios_of(flown)}
+        if unknown := [n for n in names if n not in found]:
+            raise ValueError(f"no scenario {unknown[0]}; there are {', '.join(found)}")
+        return [found[n] for n in names]
     if flown:
         return [HERE.parents[1] / "config" / "scenarios" / f"{name}.toml" for name in FLOWN]
     return sorted((HERE / "scenarios").glob("*.toml"))
@@ -96,7 +101,7 @@ def render(args: argparse.Namespace) -> int:
     for folder in ("images", "labels", "ignore"):
         (out / folder).mkdir(parents=True)
     count = 0
-    for scenario in scenarios_of(args.to_score):
+    for scenario in scenarios_of(args.to_score, args.scenarios):
         text = at_one_a_second(scenario.read_text())
         for seed in args.seeds:
             with tempfile.TemporaryDirectory() as folder:
@@ -110,7 +115,7 @@ def render(args: argparse.Namespace) -> int:
                               args.every, args.quality)
     (out / "purpose.json").write_text(json.dumps(
         {"for": "scoring" if args.to_score else "training", "seeds": args.seeds, "every": args.every, "quality": args.quality,
-         "scenarios": [s.stem for s in scenarios_of(args.to_score)]}, indent=1))
+         "scenarios": [s.stem for s in scenarios_of(args.to_score, args.scenarios)]}, indent=1))
     return count
 
 
@@ -128,6 +133,7 @@ def main() -> None:
     parser.add_argument("--out", required=True, help="an empty or new folder")
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--to-score", action="store_true", help="of the four scenarios that fly, never to be trained on")
+    parser.add_argument("--scenarios", nargs="+", help="only these; not given: all")
     parser.add_argument("--every", type=int, default=1, help="only each so many-th picture of a flight: other flights show more")
     parser.add_argument("--quality", type=int, help="of JPEG, 1 to 100, for where there is little room; not given: as rendered")
     args = parser.parse_args()

@@ -24,16 +24,13 @@ import checkpoint
 import choose
 import data
 import families
+import methods
 import render
 from data import Picture
 from model import PathAggregation
 from network import Network
 
 PEOPLE_UNLABELLED = ("aerial_cars", "cats_topdown")
-# CBAM begins with gates that follow what they see (model.GATE_START), which the layers behind were not taught to expect: it
-# learns at less than a third of their rate, so that they come to use the gates rather than the gates to be constants. Spread after 450 steps,
-# started at 0.25: 0.018, 0.026, 0.037 and 0.035 at 10, 3, 1 and 0.3 times the rate; started at 0.4: 0.048 and 0.050 at 1 and 0.3.
-ATTENTION_RATE = 0.3
 WEIGHTS = "weights.pt"  # of a run that has ended, with what was chosen and no more
 INTERRUPTED = 3  # exit code: stopped by a signal, the checkpoint is written
 # Not part of what a run is: where, how fast, how often written.
@@ -51,13 +48,13 @@ def find_unlabelled_people(model: Path, pictures: list[Picture], threshold: floa
     return found
 
 
-def parameter_groups(net: PathAggregation, frozen: int, lr: float, scratch: bool) -> list[dict]:
+def parameter_groups(net: PathAggregation, frozen: int, lr: float, scratch: bool, attention_rate: float) -> list[dict]:
     """Heads learn at the full rate, the neck at a half, the backbone at a fifth, the first stages not; from scratch all of
     them at the full rate. Attention at a share of its own, and its weights are not drawn to zero."""
     groups: dict[tuple[float, float], list[torch.nn.Parameter]] = {}
     for name, parameter in net.named_parameters():
         if name.startswith("cbam."):
-            share, decay = ATTENTION_RATE, 0.0
+            share, decay = attention_rate, 0.0
         else:
             layer, decay = int(name.split(".")[1]), 5e-4
             if layer < frozen:
@@ -119,11 +116,12 @@ class Run:
             families.start(self.teacher, args.family, args.size, Path(args.data))
             self.teacher.eval().fuse().to(self.device)
         self.net.to(self.device)
-        if not self.scratch and self.net.cbam:
+        method = methods.METHODS[args.method]
+        if not self.scratch and self.net.cbam and method.gates_as_seen:
             self.net.eval().begin_attention(choose.gate_inputs(pictures).to(self.device))
         # From COCO the norms keep its statistics; from scratch there are none yet.
         self.net.train(self.scratch)
-        self.groups = parameter_groups(self.net, 0 if self.scratch else args.frozen, args.lr, self.scratch)
+        self.groups = parameter_groups(self.net, 0 if self.scratch else args.frozen, args.lr, self.scratch, method.attention_rate)
         self.optimiser = torch.optim.AdamW(self.groups)
         self.average = Average(self.net)
         self.step, self.best, self.sums = 0, None, {}
@@ -216,7 +214,7 @@ def train(args: argparse.Namespace) -> int:
     stop: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda n, _: stop.append(n))
-    recipe = batches.Recipe(args.seed, args.batch, args.window, args.view, args.permissive)
+    recipe = batches.Recipe(args.seed, args.batch, args.window, args.view, args.permissive, args.method)
     first, began = run.step, time.monotonic()
     last_saved = began
     for tensors in batches.steps(pictures, recipe, first, args.steps, args.workers):
@@ -240,7 +238,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     parser.add_argument("--data", required=True, help="folder with coco256, cats_topdown, aerial_cars, visdrone_mini, models")
     parser.add_argument("--out", required=True, help="folder for the checkpoint and run.json")
-    parser.add_argument("--simulated", help="a folder of render.py's, for a quarter of the views")
+    parser.add_argument("--simulated", help="a folder of render.py's, for a part of the views")
     parser.add_argument("--start", choices=("coco", "scratch"), default="coco",
                         help="from the COCO arrays, which also teach on COCO pictures, or from nothing")
     parser.add_argument("--people", default="yolox_nano_416.onnx",
@@ -252,7 +250,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--view", type=int, default=416, help="input size that objects are scaled for")
     parser.add_argument("--window", type=int, default=416, help="side of the window on that view that one step sees")
     parser.add_argument("--batch", type=int, default=32, help="a multiple of 4; with --simulated of 8")
-    parser.add_argument("--steps", type=int, default=2100)
+    parser.add_argument("--method", choices=tuple(methods.METHODS), default=methods.DEFAULT, help="methods.py")
+    parser.add_argument("--steps", type=int, help="not given: the method's")
     parser.add_argument("--lr", type=float, default=5e-4)
     parser.add_argument("--frozen", type=int, default=3, help="layers below this number keep their COCO weights")
     parser.add_argument("--choose-every", type=int, default=1000, help="steps from one look at the pictures that choose to the next")
@@ -267,6 +266,8 @@ def make_parser() -> argparse.ArgumentParser:
 def parse(words: list[str] | None = None) -> argparse.Namespace:
     parser = make_parser()
     args = parser.parse_args(words)
+    method = methods.METHODS[args.method]
+    args.steps = method.steps if args.steps is None else args.steps
     if args.window % 32 or args.view % 32 or args.steps < 1 or args.choose_every < 1:
         parser.error("--window and --view must be multiples of 32, --steps and --choose-every at least 1")
     sizes = families.SIZES[args.family]
@@ -274,7 +275,7 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     if args.size not in sizes:
         parser.error(f"--size: {args.family} has {' and '.join(sizes)}")
     try:
-        data.sources_of_step(0, args.batch, bool(args.simulated), args.permissive)
+        data.sources_of_step(0, args.batch, method.rendered_eighths if args.simulated else 0, args.permissive)
     except ValueError as e:
         parser.error(f"--batch: {e}")
     return args

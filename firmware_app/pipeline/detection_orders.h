@@ -21,7 +21,9 @@ SchedulerOptions counting_frames(SchedulerOptions options);
 /// looked at itself: its movers are known from the pictures before it (MaskExchange). Kept for it, two or one until
 /// they were too old, keyframes made the masks of all other pictures older: walkers over 61 % of the picture, twelve
 /// sequential flights of each with answers given 72 to 106 ms of the recording after their order: ATE 58, 29 and,
-/// without any kept, 22 mm at the worst; 303, 204 and 160 poses off by more than 5 cm.
+/// without any kept, 22 mm at the worst; 303, 204 and 160 poses off by more than 5 cm. (Flown with times of chance;
+/// what is flown since, with answers 85 ms after their order: benchmarks/dynamic --worlds severe --guards both
+/// --detection-ms 85.)
 std::optional<DetectorJob> order_detection(const rt::FrameHandle& frame, bool keyframe, rt::TimeNs now_ns,
                                            Scheduler* scheduler, rt::FrameReturn* back);
 

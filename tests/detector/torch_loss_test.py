@@ -216,21 +216,20 @@ class Attention(unittest.TestCase):
         self.assertGreater(float((outputs[True, 0.3] - plain).abs().max()), 1e-4)
 
     def test_it_learns_at_a_rate_of_its_own(self):
-        for share in (0.3, 1.0):  # of which the second is also that of other layers
-            with unittest.mock.patch.object(train, 'ATTENTION_RATE', share):
-                net = CbamYolov5('n')
-                groups = train.parameter_groups(net, 3, 1e-3, False)
-                rate = {id(p): g['lr'] for g in groups for p in g['params']}
-                decay = {id(p): g['weight_decay'] for g in groups for p in g['params']}
-                self.assertAlmostEqual(rate[id(net.cbam['4'].spatial.weight)], share * 1e-3)
-                self.assertEqual(decay[id(net.cbam['4'].spatial.weight)], 0)
-                self.assertGreater(decay[id(net.model[24].m[0].weight)], 0)
-                self.assertAlmostEqual(rate[id(net.model[24].m[0].weight)], 1e-3)
-                self.assertAlmostEqual(rate[id(net.model[13].cv1.conv.weight)], 5e-4)
-                self.assertNotIn(id(net.model[0].conv.weight), rate)
-                self.assertEqual(sum(p.requires_grad for p in net.parameters()), len(rate))
-                every = train.parameter_groups(CbamYolov5('n'), 0, 1e-3, True)
-                self.assertEqual({g['lr'] for g in every}, {share * 1e-3, 1e-3})
+        for share in (0.3, 1.0, 10.0):  # of which the second is also that of other layers
+            net = CbamYolov5('n')
+            groups = train.parameter_groups(net, 3, 1e-3, False, share)
+            rate = {id(p): g['lr'] for g in groups for p in g['params']}
+            decay = {id(p): g['weight_decay'] for g in groups for p in g['params']}
+            self.assertAlmostEqual(rate[id(net.cbam['4'].spatial.weight)], share * 1e-3)
+            self.assertEqual(decay[id(net.cbam['4'].spatial.weight)], 0)
+            self.assertGreater(decay[id(net.model[24].m[0].weight)], 0)
+            self.assertAlmostEqual(rate[id(net.model[24].m[0].weight)], 1e-3)
+            self.assertAlmostEqual(rate[id(net.model[13].cv1.conv.weight)], 5e-4)
+            self.assertNotIn(id(net.model[0].conv.weight), rate)
+            self.assertEqual(sum(p.requires_grad for p in net.parameters()), len(rate))
+            every = train.parameter_groups(CbamYolov5('n'), 0, 1e-3, True, share)
+            self.assertEqual({g['lr'] for g in every}, {share * 1e-3, 1e-3})
 
     def test_with_and_without_it_a_run_from_nothing_begins_alike(self):
         states = []

@@ -264,7 +264,7 @@ class Start(InFolder):
 
     def test_its_attention_learns_at_ten_times_the_rate_and_the_first_layers_not(self):
         net = families.make('yolox', 'nano', True)
-        rate = {id(p): g['lr'] for g in train.parameter_groups(net, 3, 1e-3, False) for p in g['params']}
+        rate = {id(p): g['lr'] for g in train.parameter_groups(net, 3, 1e-3, False, 10.0) for p in g['params']}
         self.assertAlmostEqual(rate[id(net.cbam['9'].spatial.weight)], 1e-2)
         self.assertAlmostEqual(rate[id(net.model[24].m[0].class_out.weight)], 1e-3)
         self.assertNotIn(id(net.model[1][0].conv.weight), rate)

@@ -148,22 +148,24 @@ class Split(unittest.TestCase):
                 views[source] = views.get(source, 0) + count
         self.assertEqual(views, {'coco': 48, 'visdrone': 24, 'aerial_cars': 16, 'cats_topdown': 8})
 
-    def test_rendered_pictures_are_an_eighth_and_cost_vehicles_nothing(self):
+    def test_rendered_pictures_are_a_quarter_or_an_eighth_that_costs_vehicles_nothing(self):
         for batch in (8, 32):
-            views = dict(data.sources_of_step(2, batch, simulated=True))
-            self.assertEqual(sum(views.values()), batch)
-            self.assertEqual(views['simulated'] * 8, batch)
-            self.assertEqual(views['cats_topdown'], dict(data.sources_of_step(2, batch))['cats_topdown'])
-            self.assertEqual(list(views)[0], 'coco')
-        for batch, simulated, wanted in ((6, False, 4), (12, True, 8), (0, False, 4)):
+            for eighths in (1, 2):
+                views = dict(data.sources_of_step(2, batch, eighths))
+                self.assertEqual(sum(views.values()), batch)
+                self.assertEqual(views['simulated'] * 8, batch * eighths)
+                self.assertEqual(list(views)[0], 'coco')
+                without = dict(data.sources_of_step(2, batch))['cats_topdown']
+                self.assertEqual(views['cats_topdown'] * eighths, without)
+        for batch, simulated, wanted in ((6, 0, 4), (12, 1, 8), (12, 2, 8), (0, 0, 4)):
             with self.assertRaisesRegex(ValueError, f'multiple of {wanted}'):
                 data.sources_of_step(0, batch, simulated)
 
     def test_from_free_pictures_alone_a_quarter_is_from_above(self):
         self.assertEqual(data.sources_of_step(1, 4, permissive=True), [('coco', 3), ('aerial_cars', 1)])
-        self.assertEqual(data.sources_of_step(5, 16, True, True), [('coco', 8), ('aerial_cars', 4), ('simulated', 4)])
+        self.assertEqual(data.sources_of_step(5, 16, 2, True), [('coco', 8), ('aerial_cars', 4), ('simulated', 4)])
         with self.assertRaisesRegex(ValueError, 'multiple of 4'):
-            data.sources_of_step(0, 6, True, True)
+            data.sources_of_step(0, 6, 2, True)
         self.assertEqual(data.sets_of(False), data.SETS)
         self.assertEqual(data.sets_of(True), ('coco', 'aerial_cars'))
 
