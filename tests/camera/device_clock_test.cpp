@@ -170,6 +170,42 @@ TEST(DeviceClock, PicturesThatWaitedForABusyMachineAreOldNotMistimed) {
   EXPECT_EQ(clock.source(), Source::kMonotonic);
 }
 
+TEST(DeviceClock, PicturesThatLayWhileNobodyLookedAreOldNotNew) {
+  // Four buffers are filled within 0.1 s, then nobody looks for three seconds. They were dated as if just taken.
+  for (const rt::TimeNs offset : {rt::TimeNs{0}, 50 * rt::kNsPerSecond}) {  // monotonic, and a clock of its own
+    DeviceClock clock;
+    rt::TimeNs t = 1000 * rt::kNsPerSecond;
+    const auto look = [&](rt::TimeNs taken, rt::TimeNs arrival) {
+      const auto r = clock.take(taken - offset, arrival, {}, 0);
+      EXPECT_EQ(r.verdict, Verdict::kGood);
+      EXPECT_NEAR(static_cast<double>(r.t_ns - taken), 0, 2e6);
+    };
+    for (int i = 0; i < 90; ++i, t += 33 * kMs) look(t, t + kMs);
+    for (int i = 0; i < 4; ++i) look(t + i * 33 * kMs, t + 3 * rt::kNsPerSecond + i * kMs);
+    t += 3 * rt::kNsPerSecond;
+    for (int i = 0; i < 90; ++i, t += 33 * kMs) look(t, t + kMs);
+  }
+}
+
+TEST(DeviceClock, AClockThatWasSetBackInASilenceIsFollowedAfterASecond) {
+  DeviceClock clock;
+  rt::TimeNs t = 1000 * rt::kNsPerSecond;
+  for (int i = 0; i < 30; ++i, t += 33 * kMs) clock.take(t, t + kMs, {}, 0);
+  t += 10 * rt::kNsPerSecond;
+  const rt::TimeNs back = 5 * rt::kNsPerSecond;
+  int jumps = 0, old = 0;
+  for (int i = 0; i < 90; ++i, t += 33 * kMs) {
+    const auto r = clock.take(t - back, t + kMs, {}, 0);
+    jumps += r.verdict == Verdict::kJumped ? 1 : 0;
+    if (r.verdict == Verdict::kGood && jumps == 0) ++old;
+    if (jumps > 0 && r.verdict == Verdict::kGood) {
+      EXPECT_NEAR(static_cast<double>(r.t_ns - t), 0, 2e6);
+    }
+  }
+  EXPECT_EQ(jumps, 1);
+  EXPECT_LE(old, 32);
+}
+
 TEST(DeviceClock, RepeatedStampsAreRefusedAndThenArrivalsUsed) {
   DeviceClock clock;
   const rt::TimeNs least = 2 * kMs;

@@ -49,6 +49,7 @@ void DeviceClock::decide(rt::TimeNs delay_ns, const ClockOffsets& offsets, rt::T
   };
   window_any_ = false;
   settling_ = true;
+  old_since_ns_ = 0;
   pending_ = {};
   exposure_seen_ns_ = least_delay_ns;
   exposure_moved_ = exposure_moved_before_ = false;
@@ -118,6 +119,16 @@ void DeviceClock::measure(rt::TimeNs delay_ns, rt::TimeNs arrival_ns, rt::TimeNs
   if (arrival_ns >= window_end_ns_) close_window();
 }
 
+bool DeviceClock::was_set_back(rt::TimeNs delay_ns, bool leapt, bool back, rt::TimeNs arrival_ns) {
+  if (delay_ns - offset_ns_ <= kMostDelayNs) {
+    old_since_ns_ = 0;
+    return false;
+  }
+  if (leapt && back) return true;
+  if (leapt && old_since_ns_ == 0) old_since_ns_ = arrival_ns;
+  return old_since_ns_ != 0 && arrival_ns - old_since_ns_ > kWindowNs;
+}
+
 DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_ns, const ClockOffsets& offsets,
                                        rt::TimeNs least_delay_ns) {
   const Source before = source_;
@@ -136,7 +147,6 @@ DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_n
   const rt::TimeNs delay = arrival_ns - stamp_ns;
   // A measured offset may rest on late arrivals: earlier ones only correct it.
   const rt::TimeNs early = source_ == Source::kMeasured ? kMostDelayNs : kSlackNs + kSlewNs;
-  // A picture that waited for a busy machine grows old from one to the next, a clock that is set leaps.
   const rt::TimeNs last_delay = last_delay_ns_;
   repeats_ = 0;
   last_stamp_ns_ = stamp_ns;
@@ -153,7 +163,7 @@ DeviceClock::Reading DeviceClock::take(rt::TimeNs stamp_ns, rt::TimeNs arrival_n
     out.off_ns = moved;
     return out;
   } else if (offset_ns_ += moved; delay - offset_ns_ < -early ||
-                                  (delay - offset_ns_ > kMostDelayNs && delay - last_delay > kStepNs) ||
+                                  was_set_back(delay, delay - last_delay > kStepNs, back, arrival_ns) ||
                                   (back && source_ == Source::kMeasured)) {
     out.verdict = Verdict::kJumped;
     out.off_ns = offset_ns_ - delay;

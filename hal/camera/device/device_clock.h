@@ -39,7 +39,9 @@ class DeviceClock {
   /// A quartz drifts by at most 100 ppm and the kernel slews by at most 500: 0.6 ms a second. What the least delay of
   /// a second rises by beyond is not followed at once: it is load.
   static constexpr rt::TimeNs kSlewNs = rt::kNsPerMs;
-  /// A delay that grows by more from one picture to the next was not spent in a queue.
+  /// A delay that grows by more from one picture to the next: either nobody looked for so long, and the picture lay in
+  /// the driver's queue, or the clock was set back while nothing came. The queue is empty at once; what is as old for a
+  /// second (kWindowNs) shows a clock that was set. Where the stamp goes back, too, it was set.
   static constexpr rt::TimeNs kStepNs = rt::kNsPerSecond;
   static constexpr rt::TimeNs kWindowNs = rt::kNsPerSecond;
   /// Exposure, readout and a USB camera's own work take less.
@@ -64,6 +66,8 @@ class DeviceClock {
 
  private:
   bool known() const;
+  /// Of a picture that is late. leapt: by kStepNs and more later than the one before.
+  bool was_set_back(rt::TimeNs delay_ns, bool leapt, bool back, rt::TimeNs arrival_ns);
   /// The machine's word on the clock that was decided on.
   rt::TimeNs known_offset(const ClockOffsets& offsets) const;
   void decide(rt::TimeNs delay_ns, const ClockOffsets& offsets, rt::TimeNs least_delay_ns);
@@ -76,6 +80,7 @@ class DeviceClock {
   int counter_sign_ = 1;
   bool any_ = false;
   rt::TimeNs last_stamp_ns_ = 0, last_delay_ns_ = 0;
+  rt::TimeNs old_since_ns_ = 0;  ///< arrival of the first of those that are older than they should be; 0: none
   int repeats_ = 0;
 
   // The running second.
