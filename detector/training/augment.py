@@ -123,19 +123,23 @@ def cut(p: Picture, size: int, view: int, rng: np.random.Generator) -> View:
     letterbox. Without one large enough: single()."""
     p = _turn(p, rng)
     h, w = p.image.shape[:2]
-    longer = np.maximum(p.boxes[:, 3] - p.boxes[:, 1], p.boxes[:, 2] - p.boxes[:, 0])
-    large = np.flatnonzero(np.isin(p.labels, CUT.get(p.source, ())) & (longer >= 0.15 * h) & (longer >= 40))
+    wide, tall = p.boxes[:, 2] - p.boxes[:, 0], p.boxes[:, 3] - p.boxes[:, 1]
+    extent = np.where(p.labels == PERSON, tall, np.maximum(wide, tall))
+    large = np.flatnonzero(np.isin(p.labels, CUT.get(p.source, ())) & (extent >= 0.15 * h) & (extent >= 40))
     canvas = np.full((size, size, 3), BORDER, np.uint8)
     if not len(large):
         boxes, labels, ignore = _place(canvas, (0, 0, size, size), p, view * _zoom(p.source, rng), rng)
         return View(_colour(canvas, rng), boxes, labels, ignore, canvas)
     border = size // 8 if rng.random() < 0.5 else 0
     rw, rh = size, size - 2 * border
-    x0, y0, x1, y1 = (float(v) for v in p.boxes[rng.choice(large)])
+    chosen = rng.choice(large)
+    x0, y0, x1, y1 = (float(v) for v in p.boxes[chosen])
     kept, side = rng.uniform(0.4, 0.8), rng.integers(0, 4)
     if side == 1 and p.source == "coco":
         side = 0
-    left = max((y1 - y0) * (kept if side < 2 else 1), (x1 - x0) * (kept if side >= 2 else 1))
+    left = (y1 - y0) * (kept if side < 2 else 1)
+    if p.labels[chosen] != PERSON:
+        left = max(left, (x1 - x0) * (kept if side >= 2 else 1))
     scale = min(2.0, rng.uniform(0.25, 1.0) * rh / left)
     dx, dy = rng.uniform(0.2, 0.8) * rw - scale * (x0 + x1) / 2, rng.uniform(0.3, 0.7) * rh - scale * (y0 + y1) / 2
     if side == 0:

@@ -311,6 +311,9 @@ class Rendered(unittest.TestCase):
         self.assertGreaterEqual(len(own), 5)
         self.assertFalse(own & {p.stem for p in (render.HERE.parents[1] / 'config' / 'scenarios').glob('*.toml')})
         self.assertEqual([p.stem for p in render.scenarios_of(flown=True) if p.exists()], list(render.FLOWN))
+        self.assertEqual([p.stem for p in render.scenarios_of(False, ['roofs', 'evening'])], ['roofs', 'evening'])
+        with self.assertRaisesRegex(ValueError, 'no scenario street; there are .*roofs'):
+            render.scenarios_of(False, ['roofs', 'street'])
         with tempfile.TemporaryDirectory() as folder:
             purpose = pathlib.Path(folder) / 'purpose.json'
             for told, refused in (({'for': 'training', 'scenarios': ['roofs']}, False),
