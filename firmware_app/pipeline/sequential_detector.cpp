@@ -7,7 +7,10 @@ namespace godwit::app {
 
 namespace {
 
-SchedulerOptions on_the_recordings_clock(SchedulerOptions options) {
+SchedulerOptions options_of(const PipelineOptions& pipeline) {
+  // By count, not by time, where a detection takes none: two runs must be equal.
+  if (pipeline.sequential_detection_ns == 0) return counting_frames(pipeline.scheduler);
+  SchedulerOptions options = pipeline.scheduler;
   options.detector = true;
   return options;
 }
@@ -15,12 +18,7 @@ SchedulerOptions on_the_recordings_clock(SchedulerOptions options) {
 }  // namespace
 
 SequentialDetector::SequentialDetector(const PipelineOptions& options, rt::FramePool* pool, FrameSink* sink)
-    : options_(options),
-      sink_(sink),
-      back_(pool->reader(kDetectorReader)),
-      // By count, not by time, where it takes none: two runs must be equal.
-      scheduler_(options.sequential_detection_ns > 0 ? on_the_recordings_clock(options.scheduler)
-                                                     : counting_frames(options.scheduler)) {}
+    : options_(options), sink_(sink), back_(pool->reader(kDetectorReader)), scheduler_(options_of(options)) {}
 
 SequentialDetector::~SequentialDetector() {
   if (under_way_) back_.give_back(under_way_->job.frame.slot);

@@ -10,8 +10,7 @@ constexpr double kMemoryNs = 1e9;
 constexpr double kRoundedNs = 1e3;  ///< times told that are off by less have been rounded
 constexpr std::size_t kFew = 8;     ///< readings whose mean shows a step too many or too few
 constexpr int kMostStrays = 4;
-/// Of a step: times that are off the pace by more show none. Times that say nothing within a step are off by 0.29 of
-/// it.
+/// Of a step: times off the pace by more show none. Times that say nothing within a step are off by 0.29 of it.
 constexpr double kMostScatter = 0.4;
 constexpr double kPatience = 4;  ///< times kStart: after so many readings that show none another is looked for
 
@@ -88,8 +87,7 @@ void EvenPace::find_pace() {
   for (std::size_t i = 0; i < kStart; ++i) told[i] = static_cast<double>(first_[i] - first_[0]);
   origin_ns_ = first_[0];
   count_ = kStart;
-  // Single steps say how long one is where many are lost, those of eight where times scatter much. The better line is
-  // it.
+  // Single steps say how long one is where many are lost, those of eight where times scatter much: the better line.
   double best = std::numeric_limits<double>::infinity();
   for (const std::size_t over : {std::size_t{1}, kFew}) {
     const Line line = line_through(told, median_step(told, over));
