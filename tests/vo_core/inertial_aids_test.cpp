@@ -104,27 +104,36 @@ TEST(InertialOdometry, WhatOthersPulledTheScaleToIsNotWhatTheyAreComparedWith) {
 }
 
 // A word that is 18 % off and that the window's own opinion, not sure enough yet, does not leave out: both together
-// were told surer than either, and more so once nobody spoke any more.
+// were told surer than either, and more so once nobody spoke any more. Several flights: how far off a single one is
+// hangs on the processor's roundings.
 TEST(InertialOdometry, TwoThatContradictEachOtherAreTogetherNoSurerThanEachAlone) {
-  Flight f(0.1, 17);
-  Flown flown(&f);
-  InertialOdometryOptions options;
-  options.model = f.model_;
-  options.told_scale_sigma = 0;
-  options.aids.arm_m = 0;
-  options.aids.depth_share = 2e-4;  // as above
-  flown.odometry_ = std::make_unique<InertialOdometry>(f.mounting_, options);
-  int wrong = 0;
-  for (int k = 0; k < 240; ++k) {
-    if (k < 45) tell_place(f, k, 1.18, flown.odometry_.get());
-    const MetricPose pose = flown.frame(k);
-    if (k < 40) continue;
-    ASSERT_TRUE(pose.valid) << k;
-    const double off = std::abs(std::log(flown.odometry_->smoother().newest().scale() / f.scale_));
-    if (off > 0.08) ++wrong;
-    EXPECT_LT(off, 3 * pose.log_scale_sigma) << k << ": told " << pose.log_scale_sigma;
+  int wrong = 0, beyond = 0, told = 0;
+  double squares = 0;
+  for (int seed = 11; seed < 19; ++seed) {
+    Flight f(0.1, seed);
+    Flown flown(&f);
+    InertialOdometryOptions options;
+    options.model = f.model_;
+    options.told_scale_sigma = 0;
+    options.aids.arm_m = 0;
+    options.aids.depth_share = 2e-4;  // as above
+    flown.odometry_ = std::make_unique<InertialOdometry>(f.mounting_, options);
+    for (int k = 0; k < 240; ++k) {
+      if (k < 45) tell_place(f, k, 1.18, flown.odometry_.get());
+      const MetricPose pose = flown.frame(k);
+      if (k < 40) continue;
+      ASSERT_TRUE(pose.valid) << k << " of " << seed;
+      const double off = std::abs(std::log(flown.odometry_->smoother().newest().scale() / f.scale_));
+      ++told;
+      squares += (off / pose.log_scale_sigma) * (off / pose.log_scale_sigma);
+      if (off > 0.08) ++wrong;
+      if (off > 3 * pose.log_scale_sigma) ++beyond;
+    }
   }
-  EXPECT_GT(wrong, 10) << "it was pulled away, or nothing was shown";
+  EXPECT_GT(wrong, 80) << "it was pulled away, or nothing was shown";
+  // 1.06 and 24; with neither told any wider 5.8, and beyond in every one of the 260 where it is wrong.
+  EXPECT_LT(squares / told, 2) << "of " << told;
+  EXPECT_LT(beyond, told / 25) << wrong << " are wrong";
 }
 
 }  // namespace inertial_aids_test
