@@ -123,6 +123,7 @@ include(toolchain/options.cmake)
 include_directories(SYSTEM system)
 godwit_library(alone hal/alone.cpp)
 godwit_library(together hal/one.cpp hal/clean.cpp hal/two.cpp)
+godwit_library(tests tests/first_test.cpp tests/second_test.cpp)
 """
 
 
@@ -140,6 +141,8 @@ class TestCheckTidy(unittest.TestCase):
         cls.write(".gitignore", "/build/\n")
         for space in ("alone", "one", "clean", "two"):
             cls.write(f"hal/{space}.cpp", CLEAN.replace("SPACE", space))
+        for space in ("first", "second"):
+            cls.write(f"tests/{space}_test.cpp", CLEAN.replace("SPACE", space))
         cls.git("init", "-q", "-b", "main")
         cls.commit()
         # Built once, for all tests.
@@ -200,7 +203,16 @@ class TestCheckTidy(unittest.TestCase):
         status, printed = self.check("--all")
         self.assertEqual(status, 1, printed)
         self.expect_planted(printed)
-        self.assertIn("4 files in 2 units, 2 of them with findings", printed)
+        self.assertIn("6 files in 3 units (1 of tests, without the static analyzer), 2 of them with findings", printed)
+
+    def test_the_static_analyzer_looks_at_tests_where_they_changed(self):
+        self.write("tests/first_test.cpp", PLANTED.replace("SPACE", "first"))
+        self.write("hal/first.h", HEADER.replace("SPACE", "first"))
+        self.commit()
+        for args, wanted in ((("--all",), {name for name in CHECKS if not name.startswith("clang-analyzer")}), ((), CHECKS)):
+            status, printed = self.check(*args)
+            self.assertEqual(status, 1, printed)
+            self.assertEqual(self.found(printed)["tests/first_test.cpp"] & CHECKS, wanted, printed)
 
     def test_each_family_is_found_in_what_changed(self):
         self.plant()
