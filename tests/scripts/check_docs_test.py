@@ -38,7 +38,7 @@ def run(*words):
 class CheckDocs(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        # Read once: each time anew they took most of a minute of all the pages below.
+        # For all the pages below: what tests name is looked up once.
         cls.checks = load(CHECK)
         cls.known = {build: commands.Known(str(ROOT), build) for build in (None, BUILD[1])}
         cls.tests = runs.Tests(str(ROOT))
