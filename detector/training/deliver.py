@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
 """The weights that are delivered, in one command: trains, exports for the three inputs, and scores what was made.
 
-  deliver.py --data DIR --out RUN --simulated SIM --models ../models --reference ../../tests/detector/data [options of train.py, whole]
+  deliver.py --data DIR --out RUN --simulated SIM --vehicles SIM2 --models ../models --reference ../../tests/detector/data
+             [options of train.py, whole]
 
-With --simulated it trains twice, without and with rendered pictures, and delivers the mean of both: without, more of what is
-really seen from above is found, with, more of people and of vehicles that an edge cuts. All options but where and how fast are train.py's defaults, which are those of the delivered weights. May be cut off and given
-again. The figures stand in RUN/figures.json and RUN/figures.txt; what they replace and whether they are better is for the
-reader: the files in --models are written last, and only with --take.
+With --simulated it trains twice, without and with rendered pictures, and with --vehicles twice more, with pictures that show lorries
+and cars from near and cut by the edge (render.py's, of all scenarios), and delivers the mean of all (soup.py): without, more of what is
+really seen from above is found, with, more of people and of vehicles that an edge cuts. All options but where and how fast
+are train.py's defaults, and the methods'. May be cut off and given again. The figures stand in RUN/figures.json and
+RUN/figures.txt; what they replace and whether they are better is for the reader: the files in --models are written last, and
+only with --take.
 """
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import methods
 import train
 
 HERE = Path(__file__).resolve().parent
@@ -33,7 +37,10 @@ def parse(words: list[str] | None = None) -> tuple[argparse.Namespace, list[str]
     parser.add_argument("--reference", type=Path, default=HERE.parents[1] / "tests" / "detector" / "data")
     parser.add_argument("--take", action="store_true", help="also writes the files into --models and --reference")
     parser.add_argument("--simulated", help="a folder of render.py's")
+    parser.add_argument("--vehicles", help="another folder of render.py's; with --simulated")
     args, rest = parser.parse_known_args(words)
+    if args.vehicles and not args.simulated:
+        parser.error("--vehicles is for --simulated")
     own = ["--data", args.data, *rest]
     for _, run in runs(args, own):
         train.parse(run)  # unknown and abbreviated options end here
@@ -44,6 +51,9 @@ def runs(args: argparse.Namespace, words: list[str]) -> list[tuple[Path, list[st
     """The folder and the words of each training."""
     folders = [(args.out / "without", []), (args.out / "with", ["--simulated", args.simulated])] if args.simulated \
         else [(args.out, [])]
+    if args.vehicles:
+        folders += [(args.out / method, ["--simulated", args.vehicles, "--method", method, "--seed", str(seed)])
+                    for seed, method in enumerate(methods.VEHICLES, 1)]
     return [(folder, [*words, "--out", str(folder), *more]) for folder, more in folders]
 
 
@@ -54,7 +64,8 @@ def main() -> int:
         if code := python(HERE / "train.py", *run):
             return code
     made = args.out / "models"
-    export = [HERE / "export.py", "--checkpoint", *(folder / train.WEIGHTS for folder, _ in trained), "--data", args.data]
+    export = [HERE / "export.py", "--checkpoint", *(folder / train.WEIGHTS for folder, _ in trained), "--data", args.data,
+              *(["--simulated", args.vehicles] if args.vehicles else [])]
     if code := python(*export, "--out", made):
         return code
     models = sorted(made.glob("*.onnx"))

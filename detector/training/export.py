@@ -2,12 +2,13 @@
 """Writes a trained network as ONNX (opset 12, static shapes, norms folded) with its metadata, for OpenCV's DNN module.
 
   export.py --checkpoint RUN/weights.pt [RUN2/weights.pt ..] --out DIR [--input 416 320 480x352]
-  export.py --weights MODEL.onnx --out DIR --input 480x352
+  export.py --weights MODEL.onnx [MODEL2.onnx ..] --out DIR --input 480x352
   export.py --yolox DATA/models/yolox_nano_416.onnx --out DIR [--input 416 320]
 
 From a run: the weights that its choosing pictures liked best, or with --newest the newest average; from several the mean of
-theirs (Wortsman et al., Model soups, 2022: runs that began alike end in one basin). --weights: those of a file
-that this program wrote, for another input. --yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes
+theirs (soup.py). --weights: those of a file
+that this program wrote, for another input; of several files the mean, each as often as it is named. Of a mean, with --data and
+--simulated, each channel is given the statistics that it had in its parents. --yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes
 and made for the input that godwit gives (red, green, blue of 0 to 1), without CBAM.
 """
 from __future__ import annotations
@@ -26,6 +27,8 @@ import torch
 import checkpoint
 import choose
 import families
+import render
+import soup
 from model import PathAggregation
 from names import CLASSES
 from weights import load_exported, load_yolox
@@ -132,17 +135,31 @@ def network_of_runs(paths: list[Path], newest: bool) -> tuple[PathAggregation, s
         differ += [k for k in begun if other["options"][k] != held[0]["options"][k]]
         if differ:
             raise ValueError(f"{path}: differs from {paths[0]} in {differ[0]}: no mean of these")
-    states = [network_of_run(p, newest)[0].state_dict() for p in paths]
-    net.load_state_dict({k: torch.stack([s[k].double() for s in states]).mean(0).to(v.dtype) if v.dtype.is_floating_point else v
-                         for k, v in states[0].items()})
+    net.load_state_dict(soup.mean_of([network_of_run(p, newest)[0] for p in paths]))
     return net.eval(), f"mean of {len(paths)} runs", {}
+
+
+def network_of_files(paths: list[Path]) -> PathAggregation:
+    """The network of a file of this program's; of several the mean. ValueError unless they are alike."""
+    nets = [load_exported(str(p)) for p in paths]
+    for path, other in zip(paths[1:], nets[1:]):
+        if (type(other), other.name()) != (type(nets[0]), nets[0].name()):
+            raise ValueError(f"{path}: {other.name()}, and {paths[0]} is {nets[0].name()}: no mean of these")
+    nets[0].load_state_dict(soup.mean_of(nets))
+    return nets[0]
+
+
+def repaired(net: PathAggregation, parents: list[PathAggregation], root: Path, simulated: Path) -> PathAggregation:
+    render.check_to_train_on(simulated)
+    soup.repair(net.fuse(), [p.fuse() for p in parents], soup.looks(root, simulated))
+    return net
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--checkpoint", type=Path, nargs="+", help="weights.pt, or checkpoint.pt, of train.py; of several the mean")
-    source.add_argument("--weights", type=Path, help="a file that this program wrote")
+    source.add_argument("--weights", type=Path, nargs="+", help="a file that this program wrote; of several the mean")
     source.add_argument("--yolox", type=Path, help="the published file of YOLOX-Nano")
     parser.add_argument("--newest", action="store_true", help="of --checkpoint: not what was chosen but the newest average")
     parser.add_argument("--out", required=True, type=Path, help="folder for NAME_INPUT.onnx and NAME_INPUT.toml")
@@ -150,7 +167,11 @@ def main() -> None:
     parser.add_argument("--input", type=parse_input, nargs="+", default=[(416, 416), (320, 320), (480, 352)],
                         metavar="SIDE|WIDTHxHEIGHT")
     parser.add_argument("--data", type=Path, help="folder of the sets: measures the spread of the gates anew")
+    parser.add_argument("--simulated", type=Path, help="a folder of render.py's, with --data: sets the statistics of a mean")
     args = parser.parse_args()
+    parents = len(args.checkpoint or args.weights or [])
+    if args.simulated and (not args.data or parents < 2):
+        parser.error("--simulated is for a mean of several, with --data")
     if args.checkpoint:
         net, what, gates = network_of_runs(args.checkpoint, args.newest)
     elif args.yolox:
@@ -158,7 +179,12 @@ def main() -> None:
         load_yolox(net, str(args.yolox))
         net.eval()
     else:
-        net, what, gates = load_exported(str(args.weights)), f"weights of {args.weights.name}", {}
+        what = f"weights of {args.weights[0].name}" if parents == 1 else f"mean of {parents} files"
+        net, gates = network_of_files(args.weights), {}
+    if args.simulated:
+        nets = [network_of_run(p, args.newest)[0] for p in args.checkpoint] if args.checkpoint \
+            else [load_exported(str(p)) for p in args.weights]
+        net = repaired(net, nets, args.data, args.simulated)
     if args.data:
         gates = choose.gate_spreads(net, choose.pictures_that_choose(args.data), torch.device("cpu"))
     args.out.mkdir(parents=True, exist_ok=True)

@@ -20,6 +20,7 @@ import compare  # noqa: E402
 import deliver  # noqa: E402
 import export  # noqa: E402
 import network  # noqa: E402
+import soup  # noqa: E402
 import through_opencv  # noqa: E402
 import train  # noqa: E402
 import weights  # noqa: E402
@@ -105,6 +106,74 @@ class Export(InFolder):
             export.onnx.save(broken, str(copy))
             weights.load_exported(str(copy))
 
+    def two_parents(self):
+        """Networks that began alike and differ by a twentieth."""
+        nets = []
+        for seed in (1, 2):
+            torch.manual_seed(0)
+            net = CbamYolov5('n').eval().fuse()
+            torch.manual_seed(seed)
+            with torch.no_grad():
+                for p in net.parameters():
+                    p += 0.05 * p.abs().mean() * torch.randn_like(p)
+            nets.append(net)
+        return nets
+
+    def test_the_channels_of_a_mean_are_as_busy_as_those_of_its_parents(self):
+        parents, held = self.two_parents(), {}
+        seen = torch.rand(4, 3, 96, 96, generator=torch.Generator().manual_seed(3))
+
+        def spreads(net):
+            held.clear()
+            hooks = soup._hooked(net, lambda name, _, said: held.update({name: soup._over(said)}))
+            with torch.no_grad():
+                net.features(seen)
+            for hook in hooks:
+                hook.remove()
+            return dict(held)
+        wanted = [spreads(p) for p in parents]
+        net = self.two_parents()[0]
+        net.load_state_dict(soup.mean_of(parents))
+        off = lambda had: max(float((had[k][i] - (wanted[0][k][i] + wanted[1][k][i]) / 2).abs().max())  # noqa: E731
+                              / float(wanted[0][k][1].mean()) for k in had for i in (0, 1))
+        self.assertGreater(off(spreads(net)), 0.05)
+        soup.repair(net, parents, seen)
+        self.assertLess(off(spreads(net)), 0.01)
+        same = self.two_parents()[0]
+        soup.repair(same, [parents[0], parents[0]], seen)
+        for key, value in same.state_dict().items():
+            torch.testing.assert_close(value, parents[0].state_dict()[key], atol=1e-4, rtol=1e-3)
+
+    def test_files_have_a_mean_each_as_often_as_it_is_named(self):
+        a, b = self.two_parents()
+        files = [pathlib.Path(self.folder(), f'{n}.onnx') for n in 'ab']
+        for net, file in zip((a, b), files):
+            export.export_onnx(net, 64, 64, file)
+        mean = export.network_of_files([files[0], files[0], files[1]]).state_dict()
+        for key, value in mean.items():
+            torch.testing.assert_close(value, (2 * a.state_dict()[key] + b.state_dict()[key]) / 3)
+        other = files[0].with_name('plain.onnx')
+        export.export_onnx(CbamYolov5('n', attention=False).eval().fuse(), 64, 64, other)
+        with self.assertRaisesRegex(ValueError, 'plain.onnx: yolov5n, and .*a.onnx is cbam_yolov5n'):
+            export.network_of_files([files[0], other])
+
+    def test_statistics_are_for_a_mean_and_never_of_what_is_scored(self):
+        for words in (['--weights', 'A'], ['--weights', 'A', 'B']):
+            told = io.StringIO()
+            with contextlib.redirect_stderr(told), self.assertRaises(SystemExit), \
+                    unittest.mock.patch.object(sys, 'argv', ['export.py', *words, '--out', 'O', '--simulated', 'S']):
+                export.main()
+            self.assertIn('--simulated is for a mean of several, with --data', told.getvalue())
+        scored = pathlib.Path(self.folder())
+        (scored / 'purpose.json').write_text('{"for": "scoring", "scenarios": ["street"]}')
+        with self.assertRaisesRegex(ValueError, 'not to be trained on'):
+            export.repaired(*([None] * 3), scored)
+
+    def folder(self):
+        made = tempfile.TemporaryDirectory()
+        self.addCleanup(made.cleanup)
+        return made.name
+
     def test_sizes_are_read_as_they_are_written(self):
         self.assertEqual((export.parse_input('416'), export.parse_input('480x352')), ((416, 416), (480, 352)))
         self.assertEqual((export.input_name(416, 416), export.input_name(480, 352)), ('416', '480x352'))
@@ -166,6 +235,14 @@ class Comparison(unittest.TestCase):
         self.assertNotIn('SIM', started[0][1])
         self.assertIn('SIM', started[1][1])
         self.assertEqual([pathlib.Path(w).parent.name for w in started[2][1] if w.endswith('weights.pt')], ['without', 'with'])
+        self.assertNotIn('SIM', started[2][1])
+        code, started = self.delivered('--simulated', 'SIM', '--vehicles', 'SIM2')
+        self.assertEqual((code, [p for p, _ in started[:5]]), (0, [*['train.py'] * 4, 'export.py']))
+        self.assertEqual([w[w.index('--method') + 1:] for _, w in started[2:4]],
+                         [['vehicles', '--seed', '1'], ['vehicles-quarter', '--seed', '2']])
+        self.assertEqual(len([w for w in started[4][1] if w.endswith('weights.pt')]), 4)
+        self.assertEqual(started[4][1][started[4][1].index('--simulated') + 1], 'SIM2')
+        self.assertIn('--vehicles is for --simulated', self.refused(deliver.parse, '--vehicles', 'SIM2'))
         for fails, count in (('train.py', 1), ('export.py', 2), ('evaluate.py', 3)):
             code, started = self.delivered('--take', fails=fails)
             self.assertEqual((code, len(started)), (7, count))

@@ -155,11 +155,12 @@ class Runs(InFolder):
                 for step in range(150):
                     batches.draw(pictures, batches.Recipe(0, 32, 64, 64, method=method), step)
             share[method] = {k: v / sum(ways.values()) for k, v in ways.items()}
-        # Of the views of one COCO picture, which are 3/8 of what is no mosaic; in the second method of rendered ones as well.
+        # Of the views of one COCO picture, which are 3/8 of what is no mosaic; in the other methods of rendered ones as well.
         self.assertAlmostEqual(share['delivered']['cut'], 0.6 * 3 / 8 * 0.25, delta=0.01)
         self.assertEqual(share['delivered']['nothing'], 0)
-        self.assertAlmostEqual(share['moving-gates']['cut'], 0.6 * 4 / 8 * 0.2, delta=0.01)
-        self.assertAlmostEqual(share['moving-gates']['nothing'], 0.6 * 3 / 8 * 0.1, delta=0.01)
+        for method, eighths in (('moving-gates', 4), ('vehicles', 4), ('vehicles-quarter', 5)):
+            self.assertAlmostEqual(share[method]['cut'], 0.6 * eighths / 8 * 0.25, delta=0.01)
+            self.assertAlmostEqual(share[method]['nothing'], 0.6 * 3 / 8 * 0.1, delta=0.01)
 
     def test_gates_that_begin_by_what_they_see_move_from_the_first_step_on(self):
         tiny_set.make_coco_arrays(self.root)
@@ -170,6 +171,8 @@ class Runs(InFolder):
             spread[method] = choose.spread(gates)
         self.assertGreater(spread['moving-gates'], 10 * spread['delivered'])
         self.assertGreater(spread['moving-gates'], 0.02)
+        for method in methods.VEHICLES:
+            self.assertAlmostEqual(spread[method], spread['delivered'], delta=0.2 * spread['delivered'])
 
     def test_from_published_weights_other_seeds_begin_alike(self):
         tiny_set.make_coco_arrays(self.root)
