@@ -6,10 +6,10 @@
   export.py --yolox DATA/models/yolox_nano_416.onnx --out DIR [--input 416 320]
 
 From a run: the weights that its choosing pictures liked best, or with --newest the newest average; from several the mean of
-theirs (soup.py). --weights: those of a file
-that this program wrote, for another input; of several files the mean, each as often as it is named. Of a mean, with --data and
---simulated, each channel is given the statistics that it had in its parents. --yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes
-and made for the input that godwit gives (red, green, blue of 0 to 1), without CBAM.
+theirs (soup.py). --weights: those of a file that this program wrote, for another input; of several files the mean, each as
+often as it is named. Of a mean, with --data and --simulated, each channel is given the statistics that it had in its parents.
+--yolox: YOLOX-Nano as it was published, with its heads cut to godwit's six classes and made for the input that godwit gives
+(red, green, blue of 0 to 1), without CBAM.
 """
 from __future__ import annotations
 

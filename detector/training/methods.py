@@ -23,7 +23,8 @@ METHODS = {
     # Gates that follow what they see to the end. The layers behind were not taught to expect them: CBAM learns at less than a
     # third of their rate, so that they come to use the gates rather than the gates to be constants. Spread after 450
     # steps, started at 0.06: 0.018, 0.026, 0.037 and 0.035 at 10, 3, 1 and 0.3 times the rate; at 0.1: 0.048 and 0.050 at 1 and 0.3.
-    # It finds 0.46 of the simulator's vehicles instead of 0.29, fewer people cut by the edge, and less of COCO (../models/README.md).
+    # With gates from 0.5 and cut_share 0.2 (commit 24646f6) it found 0.46 of the simulator's vehicles instead of 0.29, fewer people
+    # cut by the edge, and less of COCO (../models/README.md).
     "moving-gates": Method(steps=2100, cut_share=0.25, cut_rendered=True, nothing_share=0.1, rendered_eighths=1,
                            gates_as_seen=True, attention_rate=0.3),
     # As delivered, but for rendered vehicles from near and cut by the edge. In the mean with the two of "delivered" the simulator's

@@ -29,12 +29,10 @@ def mean_of(nets: list[PathAggregation]) -> dict[str, torch.Tensor]:
             for k, v in states[0].items()}
 
 
-def looks(root: Path, simulated: Path | None) -> torch.Tensor:
+def looks(root: Path, simulated: Path) -> torch.Tensor:
     """n x 3 x SIDE x SIDE of 0..1: pictures to learn from, whole, and of wide sets' every second one a part at its own size."""
     rng, views = np.random.default_rng(0), []
     for source, count in SEEN.items():
-        if source == "simulated" and simulated is None:
-            continue
         pictures = data.load(simulated if source == "simulated" else root, source, "train")
         for i in rng.choice(len(pictures), min(count, len(pictures)), replace=False):
             image = pictures[i].image
