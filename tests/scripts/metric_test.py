@@ -255,6 +255,14 @@ class Benchmark(stand_in.StandInTest):
         self.assertIn('street: worst of 2 (0 never metric)', said)
         self.assertRegex(said, r'all poses: mean NEES [\d.]+; [\d.]+, inside 95 %')
 
+    def test_a_flight_that_fails_says_why(self):
+        self.flyer.write_text('#!/bin/sh\necho "godwit: no such scenario" >&2\nexit 2\n')
+        done = subprocess.run([sys.executable, str(ROOT / 'benchmarks' / 'metric'), 'simulator', '--tool', str(self.flyer), '--scenarios',
+                               'street', '--out', str(self.folder / 'out')], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 1)
+        self.assertRegex(done.stderr, r'fly street --seed 1 .*: godwit: no such scenario$')
+        self.assertNotIn('Traceback', done.stderr)
+
 
 if __name__ == '__main__':
     unittest.main()
