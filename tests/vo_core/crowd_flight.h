@@ -44,6 +44,7 @@ struct Shot {
   double roll = 0.0;
   int missing = 0;  ///< frames that did not come before it
   int blur = 0;     ///< px that the camera swept sideways while it looked
+  int torn = 0;     ///< the outer thirds go ways of their own: they are seen from so many places further on and back
 };
 inline SE3 pose_of(const Shot& shot) {
   return SE3(so3_exp(Vec3(0, 0, shot.roll)), Vec3::Zero()) * sweep(shot.place);
@@ -85,6 +86,10 @@ struct Seen {
     while (reinterpret_cast<std::uintptr_t>(data) % rt::kRowAlignment != 0) ++data;
     std::copy_n(street(camera, shot).view().data, pixels, data);
     if (shot.blur > 0) sweep_over(street(camera, shot).view(), shot.blur);
+    if (shot.torn != 0) {
+      put_part(street(camera, {shot.place + shot.torn}).view(), 0, width / 3);
+      put_part(street(camera, {shot.place - shot.torn}).view(), width - width / 3, width);
+    }
     const int each = static_cast<int>(0.5 * shot.hidden * width);
     if (each > 0) {
       // One walks to the right, one to the left, and back again.
@@ -108,6 +113,9 @@ struct Seen {
         for (int i = 0; i < px; ++i) sum += sharp.at(std::clamp(x + i - px / 2, 0, width - 1), y);
         data[y * width + x] = static_cast<std::uint8_t>(sum / px);
       }
+  }
+  void put_part(const rt::ImageView& from, int x0, int x1) {
+    for (int y = 0; y < height; ++y) std::copy_n(from.row(y) + x0, x1 - x0, data + y * width + x0);
   }
   void put_mover(int x0, int wide, std::uint32_t clothes, int time) {
     const double cell = 32.0 / width;

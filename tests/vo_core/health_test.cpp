@@ -58,11 +58,13 @@ TEST_F(HealthTest, ALostPictureIsToldWithFigureAndLimitInTheSameFrame) {
   EXPECT_EQ(health_.without_pose_ns(), 0);
 }
 
-TEST_F(HealthTest, AFoundPoseCountsOnlyWhenConfirmed) {
+TEST_F(HealthTest, AFoundPoseCountsWhenItIsProved) {
   begin();
   step(Kind::kNoPose);
   EXPECT_EQ(step(Kind::kUnproved, 80), State::kRelocalising);
   EXPECT_EQ(step(Kind::kPose, 80), State::kTracking);
+  step(Kind::kNoPose);
+  EXPECT_EQ(step(Kind::kFound, 80), State::kTracking) << "or where its picture alone proves it";
 }
 
 TEST_F(HealthTest, APoseOfFewFeaturesDoesNotCountAndSaysSo) {

@@ -156,7 +156,7 @@ TEST(OdometryLoss, AnotherMapBeginsAsSoonAsTheOldOneIsGivenUp) {
   EXPECT_EQ(run.allocations, 0U);
 }
 
-TEST(OdometryLoss, AViewFarFromTheLastOneIsFoundByItsKeyframeAndConfirmed) {
+TEST(OdometryLoss, AViewFarFromTheLastOneIsFoundByItsKeyframe) {
   std::vector<int> order = forward(60);
   for (int i = 0; i < 20; ++i) order.push_back(-1);
   for (int i = 10; i < 20; ++i) order.push_back(i);  // back at the beginning
@@ -165,7 +165,6 @@ TEST(OdometryLoss, AViewFarFromTheLastOneIsFoundByItsKeyframeAndConfirmed) {
   std::size_t back = 80;
   while (back < run.frames.size() && !run.frames[back].tracked) ++back;
   ASSERT_LT(back, 88u) << "not found within eight frames";
-  EXPECT_GT(back, 80u) << "one frame must confirm it";
   EXPECT_EQ(run.frames[back].map_id, run.frames[59].map_id);
   // The same picture was flown before: the pose must be that one again.
   const auto before = static_cast<std::size_t>(order[back]);

@@ -175,11 +175,13 @@ TEST(Odometry, AFrozenPictureGivesNoPoseAndTheNextOneDoes) {
     // Four repeated pictures are 133 ms.
     EXPECT_EQ(run.frames[i].state, i < 44 ? State::kTracking : State::kRelocalising) << i;
   }
-  // 0.7 s later: near enough to be found, long enough ago to need a second look.
-  EXPECT_FALSE(run.frames[60].tracked);
-  ASSERT_TRUE(run.frames[61].tracked) << run.frames[61].reason;
-  EXPECT_EQ(run.frames[61].map_id, run.frames[39].map_id);
-  EXPECT_LT((run.frames[61].T_world_cam.t - moving.frames[41].T_world_cam.t).norm(), 0.01);
+  // 0.7 s later: long enough ago to be a guess, and found without doubt.
+  for (std::size_t i = 60; i < 62; ++i) {
+    ASSERT_TRUE(run.frames[i].tracked) << i << ": " << run.frames[i].reason;
+    EXPECT_EQ(run.frames[i].map_id, run.frames[39].map_id);
+    EXPECT_GT(run.frames[i].median_depth, 0.0);
+    EXPECT_LT((run.frames[i].T_world_cam.t - moving.frames[i - 20].T_world_cam.t).norm(), 0.01);
+  }
 }
 
 TEST(Odometry, APictureShownTwiceIsCountedAndCostsNothing) {

@@ -13,12 +13,13 @@ State Health::step(const FrameEvidence& e) {
       break;
     case FrameEvidence::Kind::kFirstMap:
     case FrameEvidence::Kind::kPose:
+    case FrameEvidence::Kind::kFound:
       if (e.kind == FrameEvidence::Kind::kFirstMap) flown_ns_ = 0;
       if (e.kind == FrameEvidence::Kind::kPose && !counting_)
         flown_ns_ += std::max<rt::TimeNs>(0, e.t_capture_ns - t_pose_ns_);
       t_pose_ns_ = e.t_capture_ns;
       state_ = State::kTracking;
-      reason_ = {e.kind == FrameEvidence::Kind::kPose ? "tracking" : "first map", e.measurements,
+      reason_ = {e.kind == FrameEvidence::Kind::kFirstMap ? "first map" : "tracking", e.measurements,
                  options_.min_measurements};
       counting_ = false;
       without_pose_ns_ = 0;
@@ -27,7 +28,9 @@ State Health::step(const FrameEvidence& e) {
       without_pose(e, {"found in the map, to be confirmed", e.measurements, options_.min_measurements});
       break;
     case FrameEvidence::Kind::kWeak:
-      without_pose(e, {"a pose of few features, not counted", e.measurements, options_.min_measurements});
+      without_pose(e, e.refusal.text[0] != '\0'
+                          ? e.refusal
+                          : Reason{"a pose of few features, not counted", e.measurements, options_.min_measurements});
       break;
     case FrameEvidence::Kind::kNoPose:
       without_pose(e, e.refusal.text[0] != '\0'

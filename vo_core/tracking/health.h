@@ -39,8 +39,9 @@ struct FrameEvidence {
     kNoMap,        ///< there has never been a map, and this frame did not begin one
     kFirstMap,     ///< this frame began a map
     kPose,         ///< the picture gave a pose that was proved
+    kFound,        ///< found in the map again, and proved by this picture alone
     kUnproved,     ///< found in the map again, and not yet confirmed by another frame
-    kWeak,         ///< a pose of too few measurements to count, good enough to go on from
+    kWeak,         ///< a pose of too few measurements, or too little evidence, to count, good enough to go on from
     kNoPose,       ///< measurements were too few
     kSamePicture,  ///< bit for bit the picture before: a frozen camera, nothing was measured
   };
@@ -48,7 +49,7 @@ struct FrameEvidence {
   int measurements = 0;
   bool inertial_pose = false;  ///< a pose from inertial measurements is at hand
   rt::TimeNs t_capture_ns = 0;
-  Reason refusal{};            ///< kNoPose: what the pose failed by; without text: measurements were too few
+  Reason refusal{};            ///< kNoPose, kWeak: what the pose failed by; without text: measurements were too few
   bool shows_nothing = false;  ///< kNoPose: nothing could have been found in this picture
   bool expected = false;       ///< where the camera should be is known by other means
 };

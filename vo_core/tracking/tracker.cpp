@@ -81,9 +81,6 @@ void Tracker::adopt_features() {
 
 void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
-  median_depth_ = scene_depth(frame->T_cam_world, &min_depth_);
-  result->median_depth = median_depth_;
-  take_points(&result->points);
   ++frames_since_keyframe_;
   KeyframeFigures f;
   f.frames_since_last = frames_since_keyframe_;
@@ -93,7 +90,8 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   compare_with_keyframes(options_.keyframe, *map_, frame->T_cam_world, median_depth_, last_keyframe_id_, &f);
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
-  if (!result->tracked && map_feature_count_ < options_.mapped_beside) why = KeyframeReason::kNone;
+  const bool hangs = map_feature_count_ >= options_.mapped_beside && !contested(*frame);
+  if (!result->tracked && !hangs) why = KeyframeReason::kNone;
   result->keyframe_reason = why;
   bool sent = false;
   if (why != KeyframeReason::kNone && room() >= 1) {
@@ -225,22 +223,29 @@ FrameResult Tracker::track(const FrameInput& in) {
 void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
   adopt_features();
   if (frame->crowded) landmarks_->learn(*map_, options_.landmarks.described_a_tracked_frame);
-  if (kind != FrameEvidence::Kind::kUnproved) {
-    const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
-    // Of the poses as measured, not as aligned.
-    if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
-    result->tracked = kind == FrameEvidence::Kind::kPose;
+  using Kind = FrameEvidence::Kind;
+  if (kind != Kind::kUnproved) {
+    result->tracked = kind == Kind::kPose || kind == Kind::kFound;
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =
         noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);
     result->own_covariance = own.noise + own.strayed;
     result->relative = certainty_.relative(*map_, frame->T_cam_world, frame->t_capture_ns, own.noise, own.strayed);
     result->covariance = certainty_.in_map(*map_, result->relative);
+    median_depth_ = scene_depth(frame->T_cam_world, &min_depth_);
+    result->median_depth = median_depth_;
+    take_points(&result->points);
+  }
+  if (kind == Kind::kPose || kind == Kind::kWeak) {
+    const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
+    // Of the poses as measured, not as aligned.
+    if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     have_velocity_ = dt > 0.0;
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;
     seen_ = {frame->T_cam_world, frame->t_capture_ns, true};
   } else {
+    // How fast the camera moves is not known yet, without which a rolling shutter's keyframe would be crooked.
     ++unproved_;
     have_velocity_ = false;
   }

@@ -178,6 +178,16 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   return true;
 }
 
+bool Tracker::contested(const Frame& frame) const {
+  return frame.crowded && evidence_ < options_.held;
+}
+
+FrameEvidence::Kind Tracker::found(const FrameResult& r) {
+  // A second look at the same place would see what this one has: a pattern that repeats does so in both.
+  const bool sure = r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence;
+  return sure ? FrameEvidence::Kind::kFound : FrameEvidence::Kind::kUnproved;
+}
+
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
   using Kind = FrameEvidence::Kind;
   const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
@@ -211,11 +221,12 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       if (!first_look && proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
         unproved_ = 0;
         gathered_ = gathered;
-        return result->measurements >= options_.health.min_measurements ? Kind::kPose : Kind::kWeak;
+        if (result->measurements < options_.health.min_measurements) return Kind::kWeak;
+        return !contested(*frame) || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;
-        return Kind::kUnproved;
+        return found(*result);
       }
     }
     if (unproved_ > 0) {
@@ -224,9 +235,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       feature_count_ = 0;
     }
   } else if (find_in_map(in, frame, result)) {
-    return Kind::kUnproved;
+    return found(*result);
   }
-  return find_in_map(in, frame, result) ? Kind::kUnproved : Kind::kNoPose;
+  return find_in_map(in, frame, result) ? found(*result) : Kind::kNoPose;
 }
 
 }  // namespace godwit::vo
