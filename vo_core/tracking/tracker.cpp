@@ -90,8 +90,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   compare_with_keyframes(options_.keyframe, *map_, frame->T_cam_world, median_depth_, last_keyframe_id_, &f);
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
-  const bool hangs = map_feature_count_ >= options_.mapped_beside && !contested(*frame);
-  if (!result->tracked && !hangs) why = KeyframeReason::kNone;
+  if (!result->tracked && map_feature_count_ < options_.mapped_beside) why = KeyframeReason::kNone;
   result->keyframe_reason = why;
   bool sent = false;
   if (why != KeyframeReason::kNone && room() >= 1) {
