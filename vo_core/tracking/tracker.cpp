@@ -244,9 +244,13 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     relocalise_attempt_ = 0;
     seen_ = {frame->T_cam_world, frame->t_capture_ns, true};
   } else {
-    // How fast the camera moves is not known yet, without which a rolling shutter's keyframe would be crooked.
+    // How fast the camera moves is known from where it was seen last, too roughly for a rolling shutter's keyframe,
+    // well enough to look there in the next picture where light changes from row to row (locate()).
+    const rt::TimeNs gap = frame->t_capture_ns - seen_.t_capture_ns;
+    have_velocity_ = seen_.known && gap > 0 && gap <= options_.last_frame_gap_ns;
+    if (have_velocity_)
+      frame->velocity = (frame->T_cam_world * seen_.T_cam_world.inverse()).log() / rt::to_seconds(gap);
     ++unproved_;
-    have_velocity_ = false;
   }
   retire(&last_);
   last_ = *frame;

@@ -202,6 +202,8 @@ class Tracker {
   bool initialise(const FrameInput& in, const Frame& frame, bool may_begin, FrameResult* result);
   FrameEvidence::Kind locate(const FrameInput& in, Frame* frame, FrameResult* result);
   bool align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result);
+  /// From the last frame: by its picture, and where that does not convince, by how the camera moved.
+  bool look_near_last(const FrameInput& in, const SE3& guess, bool near, Frame* frame, FrameResult* result);
   bool align_with_keyframe(const RelocalisationGuess& guess, Frame* frame);
   bool look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result);
   bool look_for_likeness(int attempt, Frame* frame, FrameResult* result);

@@ -188,6 +188,25 @@ FrameEvidence::Kind Tracker::found(const FrameResult& r) {
   return sure ? FrameEvidence::Kind::kFound : FrameEvidence::Kind::kUnproved;
 }
 
+bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, Frame* frame, FrameResult* result) {
+  align_with_last(in, frame, guess, result);
+  const SE3 T_aligned = frame->T_cam_world;
+  const Vec6 aligned_velocity = frame->velocity;
+  const bool coarser = near && feature_count_ < options_.plenty;
+  const bool held = measure(in, coarser, frame, result) && as_expected(*frame);
+  if ((held && evidence_ >= options_.held) || !near || !have_velocity_) return held;
+  // Where light changes from row to row the pictures may not be laid on each other at all, and where a mover fills them
+  // they are laid on the mover. Points are found all the same, each with a gain of its own, from where the motion goes
+  // on as it was; that is a guess, and must convince.
+  frame->T_cam_world = guess * last_.T_cam_world;
+  frame->velocity = last_.velocity;
+  if (measure(in, coarser, frame, result) && proves(options_.sure, evidence_) && as_expected(*frame)) return true;
+  if (!held) return false;
+  frame->T_cam_world = T_aligned;
+  frame->velocity = aligned_velocity;
+  return measure(in, coarser, frame, result) && as_expected(*frame);
+}
+
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
   using Kind = FrameEvidence::Kind;
   const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
@@ -202,17 +221,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       guess =
           frame->expected.T_cam_map * (last_.expected.known ? last_.expected.T_cam_map : last_.T_cam_world).inverse();
     }
-    align_with_last(in, frame, guess, result);
-    const bool coarser = near && feature_count_ < options_.plenty;
-    bool held = measure(in, coarser, frame, result) && as_expected(*frame);
-    if (!held && near && have_velocity_) {
-      // Where light changes from row to row the pictures may not be laid on each other at all. Points are found all the
-      // same, each with a gain of its own, from where the motion goes on as it was; that is a guess, and must convince.
-      frame->T_cam_world = guess * last_.T_cam_world;
-      frame->velocity = last_.velocity;
-      held = measure(in, coarser, frame, result) && proves(options_.sure, evidence_) && as_expected(*frame);
-    }
-    if (held) {
+    if (look_near_last(in, guess, near, frame, result)) {
       const bool followed = near && unproved_ == 0;
       const double before = near || unproved_ > 0 ? gathered_ : 0.0;
       const double gathered = std::min(options_.most_evidence, before + std::max(evidence_, options_.worst_frame));
