@@ -129,9 +129,9 @@ struct TrackerOptions {
   double most_evidence = 60.0;  ///< a guess whose first picture has as much needs no second look
   double worst_frame = -30.0;
   double sure = 40.0;
-  /// A pose that followed right ones is right with this; and a guess where it was expected. It is told only where its
-  /// own picture has it: of 2,539 poses told among the severe walkers 27 of 48 with less were off by more than 5 cm, of
-  /// the others 11.
+  /// A pose that followed right ones is right with this; and a guess where it was expected. Between
+  /// movers it is told only where its own picture has it: of 2,539 poses told among the severe walkers 27 of 48 with
+  /// less were off by more than 5 cm, of the others 11.
   double held = 20.0;
   double promising = 10.0;  ///< makes a pose worth following; 99.4 % of the right ones and 6 of 144 wrong ones have it
   int least_measurements = 12;     ///< a pose with fewer is none
@@ -212,9 +212,6 @@ class Tracker {
   bool measure(const FrameInput& in, bool coarser, Frame* frame, FrameResult* result);
   /// What a pose found in the map again is, by the evidence of its picture.
   FrameEvidence::Kind found(const FrameResult& r);
-  /// Its own picture hardly speaks for the pose, though those before carry it on. Where it is blurred or lit otherwise
-  /// it speaks against all points alike; but between movers what a pose agrees with may be one of them.
-  bool contested(const Frame& frame) const;
   // These say in refusal_ what they refuse for.
   bool proves(double wanted, double evidence);
   bool as_noisy_as_stated(const FrameResult& r);

@@ -178,10 +178,6 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   return true;
 }
 
-bool Tracker::contested(const Frame& frame) const {
-  return frame.crowded && evidence_ < options_.held;
-}
-
 FrameEvidence::Kind Tracker::found(const FrameResult& r) {
   // A second look at the same place would see what this one has: a pattern that repeats does so in both.
   const bool sure = r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence;
@@ -231,7 +227,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
         unproved_ = 0;
         gathered_ = gathered;
         if (result->measurements < options_.health.min_measurements) return Kind::kWeak;
-        return !contested(*frame) || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
+        // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
+        // movers what a pose agrees with may be one of them.
+        return !frame->crowded || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;
