@@ -120,7 +120,7 @@ def recording(program, source):
     check(f.tilt.mean() <= 0.6, "level to %.2f degrees in the mean, %.2f at most" % (f.tilt.mean(), f.tilt.max()))
     speed = math.sqrt((f.speed_error[seen] ** 2).sum(axis=1).mean())
     check(speed <= 0.05, "the velocity is the body's, along the body's axes: off by %.3f m/s RMS" % speed)
-    dark = f.during(begin + a + 0.1, begin + b)
+    dark = f.during(begin + a + 0.1, begin + b - 0.025)  # half a picture before the first that sees again
     check(dark.sum() > 10, "in the second without pictures poses go on: %d" % dark.sum())
     if dark.any():
         grown = np.linalg.norm(f.error[dark] - f.error[f.t < begin + a][-1], axis=1).max()
