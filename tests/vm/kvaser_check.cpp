@@ -88,7 +88,7 @@ void frames(CanBus& a, CanBus& b) {
   std::uint32_t sent = 0, got = 0, full = 0;
   bool in_order = true;
   constexpr std::uint32_t kFrames = 2000;
-  const bool all = soon([&] {
+  const auto hand_over = [&] {
     while (sent < kFrames) {
       const CanSend result = a.send(frame_of(0x100 + sent));
       if (result != CanSend::kSent) {
@@ -100,7 +100,14 @@ void frames(CanBus& a, CanBus& b) {
     CanFrame f;
     while (b.receive(&f)) in_order = in_order && f.id == 0x100 + got++;
     return got == kFrames;
-  });
+  };
+  // For as long as frames come: how fast they do is the machine's.
+  std::uint32_t before = 0;
+  bool all = false;
+  do {
+    before = got;
+    all = soon(hand_over);
+  } while (!all && got > before);
   check(all && in_order, std::to_string(got) + " of 2000 frames in bursts of 40 arrive in order, the queue was full " +
                              std::to_string(full) + " times");
   check(!a.supports_fd(), "FD is not offered");
