@@ -302,7 +302,10 @@ def interface_removed(program):
     full = next(t for t, tunnel in sniffer.broadcasts(3001, cut=True) if t > down - 1 and len(tunnel.buffer) == 120)
     sniffer.frames = [frame for frame in sniffer.frames if frame[0] != full]
     told = [m.get_type() for _, m in sniffer.messages(cut=True)]
-    check(told.count("BAD_DATA") > len(broken) and told.count("ODOMETRY") >= len(samples) - 2, "one cut in two is told, the others are read")
+    # Lost are the message itself, the one whose bytes it is filled up with, and, where a byte of that looks like the beginning
+    # of a message, what that takes: three in all in 7 of 201 places tried. One more may be.
+    lost = len(samples) - told.count("ODOMETRY")
+    check(told.count("BAD_DATA") > len(broken) and 1 <= lost <= 4, "one cut in two is told, the others are read (%d lost)" % lost)
     after = [(t, m) for t, m in samples if t > up]
     check(after and after[0][0] - up < 1.0 + stalls.s, "poses again %.0f ms after it came back" % (1e3 * (after[0][0] - up) if after else -1))
     check(all(t - m.time_usec * 1e-6 < 0.4 + stalls.s for t, m in after), "none of them old")
