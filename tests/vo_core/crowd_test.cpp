@@ -108,6 +108,7 @@ TEST(Crowd, APoseThatItsOwnPictureSpeaksAgainstIsSoughtAnewOrNotTold) {
   for (std::size_t i = kFree + 1; i < kFree + 3; ++i) order[i].torn = 6;
   TrackerOptions options;
   options.crowded = -1.0;  // whatever hides, or does not
+  options.steady = 0.0;    // nor is the motion a witness
   const Flight flight = fly(order, options);
   ASSERT_TRUE(flight.frames[kFree].tracked);
   const double scale = scale_of(flight, order, kFree);
@@ -125,6 +126,23 @@ TEST(Crowd, APoseThatItsOwnPictureSpeaksAgainstIsSoughtAnewOrNotTold) {
   // Where no movers are known it is blur or light that speaks against all points alike.
   const Flight open = fly(order);
   EXPECT_TRUE(open.frames[kFree + 2].tracked) << open.frames[kFree + 2].reason;
+}
+
+TEST(Crowd, WhereTheMotionGoesOnAPoseIsToldThoughItsPictureSaysLittle) {
+  auto order = shots({{0, kFree + 2, 0.0}});
+  order[kFree + 1].blur = 12;
+  TrackerOptions options;
+  options.crowded = -1.0;  // whatever hides, or does not
+  options.held = 55.0;     // what a blurred picture does not have
+  const Flight flight = fly(order, options);
+  EXPECT_TRUE(flight.frames[kFree + 1].tracked) << flight.frames[kFree + 1].reason;
+  EXPECT_LT(off_by(flight, order, kFree + 1, scale_of(flight, order, kFree)), 0.02);
+  // Without that witness it is gone on from and not told.
+  options.steady = 0.0;
+  const Flight alone = fly(order, options);
+  EXPECT_FALSE(alone.frames[kFree + 1].tracked);
+  EXPECT_STREQ(alone.frames[kFree + 1].reason, "too little speaks for the pose [nats]");
+  EXPECT_TRUE(alone.frames[kFree + 2].tracked) << alone.frames[kFree + 2].reason;
 }
 
 TEST(Crowd, FewFeaturesAreGoneOnFromWhateverHidesTheRest) {

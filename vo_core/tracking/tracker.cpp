@@ -225,6 +225,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
   using Kind = FrameEvidence::Kind;
   if (kind != Kind::kUnproved) {
     result->tracked = kind == Kind::kPose || kind == Kind::kFound;
+    if (result->tracked) told_ = {Seen{frame->T_cam_world, frame->t_capture_ns, true}, told_[0]};
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =
         noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);

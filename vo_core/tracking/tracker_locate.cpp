@@ -157,6 +157,16 @@ bool Tracker::as_expected(const Frame& frame) {
   return false;
 }
 
+bool Tracker::moves_on(const Frame& frame) const {
+  const auto& [last, before] = told_;
+  const rt::TimeNs gap = frame.t_capture_ns - last.t_capture_ns, gap_before = last.t_capture_ns - before.t_capture_ns;
+  if (!before.known || std::max(gap, gap_before) > options_.direct_gap_ns) return false;
+  const Vec6 moved = (last.T_cam_world * before.T_cam_world.inverse()).log();
+  const SE3 expected = SE3::exp(moved * (rt::to_seconds(gap) / rt::to_seconds(gap_before))) * last.T_cam_world;
+  const SE3 apart = expected * frame.T_cam_world.inverse();
+  return apart.t.norm() <= options_.steady * median_depth_ && so3_log(apart.R).norm() <= options_.steady;
+}
+
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
   // Where the camera should be, if anyone knows, in turns with what looks like a keyframe. Between movers, who spoil
   // that, points of the map near their places, in turns with keyframes and, where none resembles the picture, points
@@ -228,8 +238,8 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
         gathered_ = gathered;
         if (result->measurements < options_.health.min_measurements) return Kind::kWeak;
         // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
-        // movers what a pose agrees with may be one of them.
-        return !frame->crowded || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
+        // movers what a pose agrees with may be one of them, whose motion is another.
+        return !frame->crowded || moves_on(*frame) || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;

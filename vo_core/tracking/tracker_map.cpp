@@ -48,6 +48,7 @@ void Tracker::drop_map() {
   have_velocity_ = false;
   unproved_ = 0;
   seen_ = {};
+  told_ = {};
   relocalise_attempt_ = 0;
   reset_pending_ = true;
 }
@@ -88,7 +89,9 @@ void Tracker::apply(const MapDelta& d) {
   // The last frame moves with the keyframe it hangs on, and so do keyframes that the mapper did not have yet.
   const int anchor = map_->find_keyframe(last_keyframe_id_);
   const SE3 T_world_anchor = anchor >= 0 ? map_->keyframe(anchor).T_kf_world.inverse() : SE3();
-  const SE3 T_last_anchor = last_.T_cam_world * T_world_anchor, T_seen_anchor = seen_.T_cam_world * T_world_anchor;
+  const std::array hanging{&last_.T_cam_world, &seen_.T_cam_world, &told_[0].T_cam_world, &told_[1].T_cam_world};
+  std::array<SE3, hanging.size()> T_hanging_anchor;
+  for (std::size_t i = 0; i < hanging.size(); ++i) T_hanging_anchor[i] = *hanging[i] * T_world_anchor;
   std::array<SE3, kMaxKeyframes> T_next_previous;
   std::array<int, kMaxKeyframes> next_place, previous_place;
   int unknown = 0;
@@ -107,10 +110,8 @@ void Tracker::apply(const MapDelta& d) {
   if (d.moved_keyframe_count > 0) {
     for (int i = 0; i < unknown; ++i)
       map_->keyframe(next_place[i]).T_kf_world = T_next_previous[i] * map_->keyframe(previous_place[i]).T_kf_world;
-    if (anchor >= 0) {
-      last_.T_cam_world = T_last_anchor * map_->keyframe(anchor).T_kf_world;
-      seen_.T_cam_world = T_seen_anchor * map_->keyframe(anchor).T_kf_world;
-    }
+    for (std::size_t i = 0; anchor >= 0 && i < hanging.size(); ++i)
+      *hanging[i] = T_hanging_anchor[i] * map_->keyframe(anchor).T_kf_world;
   }
   if (d.shares.centre != 0) certainty_.take(d.shares);
   for (int i = 0; i < d.moved_point_count; ++i)
