@@ -135,7 +135,7 @@ struct Seen {
 
 struct Flight {
   std::vector<FrameResult> frames;
-  std::vector<int> points, keyframes;
+  std::vector<int> points, keyframes, vouched;  ///< of the tracker's map; vouched: points that are
 };
 
 inline Flight fly(const std::vector<Shot>& shots, TrackerOptions options = {},
@@ -160,6 +160,10 @@ inline Flight fly(const std::vector<Shot>& shots, TrackerOptions options = {},
     }
     out.points.push_back(tracker.map().point_count());
     out.keyframes.push_back(tracker.map().keyframe_count());
+    int vouched = 0;
+    for (int i = 0; i < tracker.map().point_end(); ++i)
+      vouched += tracker.map().point(i).active && tracker.map().point(i).vouched;
+    out.vouched.push_back(vouched);
   }
   return out;
 }

@@ -145,6 +145,37 @@ TEST(Crowd, WhereTheMotionGoesOnAPoseIsToldThoughItsPictureSaysLittle) {
   EXPECT_TRUE(alone.frames[kFree + 2].tracked) << alone.frames[kFree + 2].reason;
 }
 
+TEST(Crowd, BetweenMoversOnlyPointsThatWereRightBeforeProveAPose) {
+  const auto order = shots({{0, kFree + 9, 0.0}});
+  TrackerOptions options;
+  options.crowded = -1.0;  // whatever hides, or does not
+  const Flight flight = fly(order, options);
+  std::size_t first = 0;
+  while (first < order.size() && flight.points[first] == 0) ++first;
+  ASSERT_LT(first, static_cast<std::size_t>(kFree));
+  EXPECT_EQ(flight.vouched[first], flight.points[first]) << "nothing speaks against the first map's";
+  for (std::size_t i = first; i < order.size(); ++i) EXPECT_TRUE(flight.frames[i].tracked) << flight.frames[i].reason;
+  // What came later is vouched as soon as poses agreed with it that the others speak for.
+  EXPECT_GT(flight.points.back(), flight.points[first] + 50);
+  EXPECT_GT(flight.vouched.back(), flight.points[first] + 30);
+
+  // As if those had not sufficed for a pose: what comes later proves none, and stays as it is.
+  options.vouched = 1e6;
+  const Flight without = fly(order, options);
+  std::size_t i = first + 1;
+  for (; i < order.size() && without.frames[i].state != State::kLost; ++i) {
+    EXPECT_FALSE(without.frames[i].tracked) << i;
+    EXPECT_STREQ(without.frames[i].reason, "what speaks for the pose appeared between movers [nats]") << i;
+    EXPECT_GE(without.frames[i].measurements, options.health.min_measurements) << i << ": it is not for their number";
+    EXPECT_LE(without.vouched[i], flight.points[first]) << i;
+  }
+  EXPECT_GE(i, first + 10);
+  EXPECT_GT(without.points[i - 1], without.vouched[i - 1] + 50) << "it is gone on from, and the map grows";
+  // Where no movers are known any point will do.
+  options.crowded = 1.0;
+  EXPECT_TRUE(fly(order, options).frames.back().tracked);
+}
+
 TEST(Crowd, FewFeaturesAreGoneOnFromWhateverHidesTheRest) {
   const auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 7, 0.35}});
   TrackerOptions options;

@@ -99,6 +99,7 @@ void Map::activate_point(PointHandle h, const Vec3& p_world) {
   p.found = p.missed = 0;
   p.last_mark = p.next_mark = 0;
   p.rest = 0;
+  p.vouched = false;
   ++point_count_;
   point_end_ = std::max(point_end_, h.index + 1);
 }

@@ -77,6 +77,7 @@ struct alignas(64) MapPoint {
   std::uint16_t missed = 0;     ///< frames in which it should have been seen and was not
   std::uint32_t last_mark = 0;  ///< tracker: the last projection that looked at it (a visited mark)
   std::uint32_t next_mark = 0;  ///< tracker: the first projection that tries it again, before those of the rest it has
+  bool vouched = false;         ///< tracker: a pose agreed with it that others vouched for
   std::uint8_t rest = 0;        ///< tracker: projections that it is left out of, one more with each miss in a row
   std::array<Observation, kMaxPointObservations> observations;
 };

@@ -210,6 +210,7 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
     m.inlier = e >= 0.0 && e <= options.outlier_sigma;
     rows.weigh(i, m.inlier ? 1.0 : 0.0);
     if (!m.inlier) continue;
+    m.error = e;
     ++result.inliers;
     result.chi_square += e * e;
     result.freedom += m.type == FeatureType::kEdgelet ? 1 : 2;

@@ -17,6 +17,7 @@ struct PoseMeasurement {
   double sigma_px = 1.0;          ///< of each coordinate
   FeatureType type = FeatureType::kCorner;
   bool inlier = true;  ///< result
+  double error = 0.0;  ///< result, of an inlier: length of its residual [sigma]
 };
 
 struct PoseOptimizerOptions {

@@ -79,6 +79,11 @@ void Tracker::adopt_features() {
   }
 }
 
+void Tracker::vouch() {
+  for (int i = 0; i < match_count_; ++i)
+    if (measurements_[i].inlier) map_->point(features_scratch_[i].point.index).vouched = true;
+}
+
 void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   const rt::TimeNs t0 = now();
   ++frames_since_keyframe_;
@@ -225,6 +230,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
   using Kind = FrameEvidence::Kind;
   if (kind != Kind::kUnproved) {
     result->tracked = kind == Kind::kPose || kind == Kind::kFound;
+    if (result->tracked && vouched_ >= options_.held) vouch();
     if (result->tracked) told_ = {Seen{frame->T_cam_world, frame->t_capture_ns, true}, told_[0]};
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =

@@ -105,6 +105,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
     f.point = {static_cast<std::uint16_t>(i), map_->point(i).generation};
     // As the message has it: the two maps are equal to the bit.
     map_->activate_point(f.point, p.p_ref.cast<float>().cast<double>());
+    map_->point(f.point.index).vouched = true;
   }
   median_depth_ = scene_depth(first_.T_cam_world, &min_depth_);
   const int place1 = insert_keyframe(first_, 1);

@@ -126,7 +126,25 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
+  vouched_ = frame->crowded && p.ok ? evidence_of_vouched() : evidence_;
   return result->measurements >= options_.least_measurements && as_noisy_as_stated(*result);
+}
+
+double Tracker::evidence_of_vouched() const {
+  PoseOptimizerResult fit;
+  fit.ok = true;
+  fit.freedom = -6;
+  int found = 0;
+  for (int i = 0; i < match_count_ + rejected_count_; ++i) {
+    const PoseMeasurement& m = measurements_[i];
+    if (!map_->point(features_scratch_[i].point.index).vouched) continue;
+    ++found;
+    if (i >= match_count_ || !m.inlier) continue;
+    ++fit.inliers;
+    fit.freedom += m.type == FeatureType::kEdgelet ? 1 : 2;
+    fit.chi_square += m.error * m.error;
+  }
+  return pose_evidence(fit, found, 0);
 }
 
 bool Tracker::as_noisy_as_stated(const FrameResult& r) {
@@ -167,6 +185,17 @@ bool Tracker::moves_on(const Frame& frame) const {
   return apart.t.norm() <= options_.steady * median_depth_ && so3_log(apart.R).norm() <= options_.steady;
 }
 
+bool Tracker::vouched_for(const Frame& frame) {
+  if (!frame.crowded || vouched_ >= options_.vouched) return true;
+  refusal_ = {"what speaks for the pose appeared between movers [nats]", static_cast<int>(vouched_),
+              static_cast<int>(options_.vouched)};
+  return false;
+}
+
+bool Tracker::told_between_movers(const Frame& frame) {
+  return (moves_on(frame) || proves(options_.held, evidence_)) && vouched_for(frame);
+}
+
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
   // Where the camera should be, if anyone knows, in turns with what looks like a keyframe. Between movers, who spoil
   // that, points of the map near their places, in turns with keyframes and, where none resembles the picture, points
@@ -188,9 +217,10 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   return true;
 }
 
-FrameEvidence::Kind Tracker::found(const FrameResult& r) {
+FrameEvidence::Kind Tracker::found(const Frame& frame, const FrameResult& r) {
   // A second look at the same place would see what this one has: a pattern that repeats does so in both.
-  const bool sure = r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence;
+  const bool sure =
+      r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence && vouched_for(frame);
   return sure ? FrameEvidence::Kind::kFound : FrameEvidence::Kind::kUnproved;
 }
 
@@ -239,11 +269,11 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
         if (result->measurements < options_.health.min_measurements) return Kind::kWeak;
         // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
         // movers what a pose agrees with may be one of them, whose motion is another.
-        return !frame->crowded || moves_on(*frame) || proves(options_.held, evidence_) ? Kind::kPose : Kind::kWeak;
+        return !frame->crowded || told_between_movers(*frame) ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;
-        return found(*result);
+        return found(*frame, *result);
       }
     }
     if (unproved_ > 0) {
@@ -252,9 +282,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       feature_count_ = 0;
     }
   } else if (find_in_map(in, frame, result)) {
-    return found(*result);
+    return found(*frame, *result);
   }
-  return find_in_map(in, frame, result) ? found(*result) : Kind::kNoPose;
+  return find_in_map(in, frame, result) ? found(*frame, *result) : Kind::kNoPose;
 }
 
 }  // namespace godwit::vo
