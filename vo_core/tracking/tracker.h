@@ -224,12 +224,12 @@ class Tracker {
   /// The points that agree with a pose that vouched ones speak for are vouched from here on.
   void vouch();
   /// What a pose found in the map again is, by the evidence of its picture.
-  FrameEvidence::Kind found(const Frame& frame, const FrameResult& r);
+  FrameEvidence::Kind found(const FrameResult& r);
   // These say in refusal_ what they refuse for.
   bool proves(double wanted, double evidence);
   bool as_noisy_as_stated(const FrameResult& r);
   bool as_expected(const Frame& frame);
-  bool vouched_for(const Frame& frame);
+  bool vouched_for();
   bool told_between_movers(const Frame& frame);
   /// Whether a pose lies where the motion of the two told before goes on: a witness beside its own picture.
   bool moves_on(const Frame& frame) const;
@@ -299,7 +299,7 @@ class Tracker {
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
   double evidence_ = 0.0;       ///< for the pose of the last measure() [nats]
-  double vouched_ = 0.0;        ///< of that, what vouched points say
+  double vouched_ = 0.0;        ///< between movers what vouched points say of it, elsewhere all of it
   double gathered_ = 0.0;       ///< for last_, over the frames that led to it
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;

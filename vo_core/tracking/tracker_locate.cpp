@@ -185,15 +185,15 @@ bool Tracker::moves_on(const Frame& frame) const {
   return apart.t.norm() <= options_.steady * median_depth_ && so3_log(apart.R).norm() <= options_.steady;
 }
 
-bool Tracker::vouched_for(const Frame& frame) {
-  if (!frame.crowded || vouched_ >= options_.vouched) return true;
+bool Tracker::vouched_for() {
+  if (vouched_ >= options_.vouched) return true;
   refusal_ = {"what speaks for the pose appeared between movers [nats]", static_cast<int>(vouched_),
               static_cast<int>(options_.vouched)};
   return false;
 }
 
 bool Tracker::told_between_movers(const Frame& frame) {
-  return (moves_on(frame) || proves(options_.held, evidence_)) && vouched_for(frame);
+  return (moves_on(frame) || proves(options_.held, evidence_)) && vouched_for();
 }
 
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
@@ -217,10 +217,10 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   return true;
 }
 
-FrameEvidence::Kind Tracker::found(const Frame& frame, const FrameResult& r) {
+FrameEvidence::Kind Tracker::found(const FrameResult& r) {
   // A second look at the same place would see what this one has: a pattern that repeats does so in both.
   const bool sure =
-      r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence && vouched_for(frame);
+      r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence && vouched_for();
   return sure ? FrameEvidence::Kind::kFound : FrameEvidence::Kind::kUnproved;
 }
 
@@ -273,7 +273,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;
-        return found(*frame, *result);
+        return found(*result);
       }
     }
     if (unproved_ > 0) {
@@ -282,9 +282,9 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       feature_count_ = 0;
     }
   } else if (find_in_map(in, frame, result)) {
-    return found(*frame, *result);
+    return found(*result);
   }
-  return find_in_map(in, frame, result) ? found(*frame, *result) : Kind::kNoPose;
+  return find_in_map(in, frame, result) ? found(*result) : Kind::kNoPose;
 }
 
 }  // namespace godwit::vo
