@@ -105,6 +105,86 @@ TEST(PoseOptimizer, CovarianceIsWhatTheErrorsAre) {
   }
 }
 
+/// Measurements of points about one metre away, all in one corner of the picture, and all but in a plane.
+std::vector<PoseMeasurement> in_a_corner(const CameraModel& camera, const SE3& T, int count, double noise_px,
+                                         unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> u(430, 530), v(250, 310), d(0.98, 1.02);
+  std::normal_distribution<double> noise(0.0, noise_px);
+  std::vector<PoseMeasurement> out(static_cast<std::size_t>(count));
+  for (PoseMeasurement& m : out) {
+    const Vec2 px(u(random), v(random));
+    m.p_world = T.inverse() * (camera.unproject(px) * d(random));
+    m.px = px + Vec2(noise(random), noise(random));
+    m.sigma_px = noise_px;
+  }
+  return out;
+}
+
+PosePrediction prediction(const SE3& T, double place, double turn) {
+  PosePrediction p;
+  p.known = true;
+  p.T_cam_world = T;
+  p.information.diagonal() << Vec3::Constant(1.0 / (place * place)), Vec3::Constant(1.0 / (turn * turn));
+  return p;
+}
+
+TEST(PoseOptimizer, HowTheCameraMovesTellsAStepFromATurn) {
+  const CameraModel camera = test::tum_fr1();
+  const SE3 truth = some_pose();
+  constexpr double kPlace = 0.004, kTurn = 0.004;
+  std::mt19937 random(9);
+  std::normal_distribution<double> normal;
+  double alone2 = 0.0, together2 = 0.0, nees = 0.0;
+  constexpr int kRuns = 200;
+  for (int i = 0; i < kRuns; ++i) {
+    std::vector<PoseMeasurement> m = in_a_corner(camera, truth, 60, 0.5, static_cast<unsigned>(i));
+    SE3 alone = truth, together = truth;
+    ASSERT_TRUE(optimize_pose(camera, {}, m, &alone).ok);
+    Vec6 x;
+    for (int k = 0; k < 6; ++k) x(k) = (k < 3 ? kPlace : kTurn) * normal(random);
+    const PoseOptimizerResult r =
+        optimize_pose(camera, {}, m, &together, prediction(SE3::exp(x) * truth, kPlace, kTurn));
+    ASSERT_TRUE(r.ok);
+    const Vec6 e = (together * truth.inverse()).log();
+    alone2 += (alone * truth.inverse()).log().head<3>().squaredNorm();
+    together2 += e.head<3>().squaredNorm();
+    nees += e.dot(r.with_prior.inverse() * e);
+  }
+  EXPECT_GT(std::sqrt(alone2 / kRuns), 0.012) << "[m] the corner alone";
+  EXPECT_LT(std::sqrt(together2 / kRuns), 0.005);
+  // Measurements and prior together are as sure as they say.
+  EXPECT_GT(nees / kRuns, 4.5);
+  EXPECT_LT(nees / kRuns, 7.5);
+}
+
+TEST(PoseOptimizer, WhereThePictureTellsThePoseThePriorHardlyCounts) {
+  // Three of its sigmas off, as a camera that is pushed.
+  const CameraModel camera = test::euroc();
+  const SE3 truth = some_pose();
+  std::vector<PoseMeasurement> m = measure(camera, truth, 120, 0.3, 2);
+  for (PoseMeasurement& x : m) x.sigma_px = 0.3;
+  SE3 alone = truth, together = truth;
+  const Vec6 off = (Vec6() << 0.03, 0, 0, 0, 0.015, 0).finished();
+  ASSERT_TRUE(optimize_pose(camera, {}, m, &alone).ok);
+  ASSERT_TRUE(optimize_pose(camera, {}, m, &together, prediction(SE3::exp(off) * truth, 0.01, 0.005)).ok);
+  EXPECT_LT((together * alone.inverse()).log().norm(), 0.02 * off.norm());
+}
+
+TEST(PoseOptimizer, MeasurementsThatErrTogetherWeighLessBesideThePrior) {
+  const CameraModel camera = test::tum_fr1();
+  const SE3 truth = some_pose();
+  std::vector<PoseMeasurement> m = in_a_corner(camera, truth, 60, 0.5, 1);
+  PosePrediction prior = prediction(truth, 0.004, 0.004);
+  SE3 one_by_one = truth, together = truth;
+  const PoseOptimizerResult sure = optimize_pose(camera, {}, m, &one_by_one, prior);
+  prior.correlated = 25.0;
+  const PoseOptimizerResult unsure = optimize_pose(camera, {}, m, &together, prior);
+  ASSERT_TRUE(sure.ok && unsure.ok);
+  EXPECT_LT((together * truth.inverse()).log().norm(), (one_by_one * truth.inverse()).log().norm());
+  EXPECT_GT(unsure.with_prior.trace(), sure.with_prior.trace());
+}
+
 // The sums are taken several measurements at a time; the Jacobian of one is held against differences above.
 TEST(PoseOptimizer, InformationIsTheSumOfTheMeasurementsOwn) {
   for (const CameraModel& camera : {test::tum_fr1(), test::fisheye()}) {

@@ -1,6 +1,7 @@
 // What one frame's own noise makes of its pose, from the residuals that the pose leaves (residual_spread.h).
 #pragma once
 
+#include <algorithm>
 #include <span>
 
 #include "vo_core/geometry/camera_model.h"
@@ -28,6 +29,8 @@ class FrameNoise {
   /// variance is 1 + shake() times what the patch alone makes of it, and is to be stated as that. 0 with a global
   /// shutter.
   double shake() const { return shake_; }
+  /// How many times a picture's measurements together are less sure than if they were independent.
+  double correlated() const { return independent_ > 0.0 ? std::max(1.0, sums_ / independent_) : 1.0; }
 
   /// Of the pose that minimises Tukey's biweight of the measurements' residuals over `weight_scale` stated sigmas
   /// (pose_optimizer.h); their sigmas are as shake() says. Bounded by the measurements. Identity when they do not

@@ -163,7 +163,8 @@ bool pose_residual(const CameraModel& camera, const SE3& T_cam_world, const Pose
 }
 
 PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizerOptions& options,
-                                  std::span<PoseMeasurement> measurements, SE3* T_cam_world) {
+                                  std::span<PoseMeasurement> measurements, SE3* T_cam_world,
+                                  const PosePrediction& prior) {
   PoseOptimizerResult result;
   const int n = std::min(rt::count_of(measurements), kMaxFrameFeatures);
   result.measurements = n;
@@ -193,6 +194,11 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   for (int it = 0; it < options.max_iterations; ++it) {
     rows.weigh_tukey(scale);
     rows.normal_equations(&H, &b);
+    if (prior.known) {
+      const Mat6 information = scale * scale * prior.correlated * prior.information;
+      H += information;
+      b -= information * (T * prior.T_cam_world.inverse()).log();
+    }
     Eigen::LDLT<Mat6> ldlt(H);
     if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return result;
     const Vec6 dx = ldlt.solve(b);
@@ -226,6 +232,8 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   const double wider = std::max(1.0, result.chi_square / result.freedom);
   result.covariance = ldlt.solve(Mat6::Identity()) * wider;
   if (!result.covariance.allFinite()) return result;
+  const Mat6 together = H / (wider * prior.correlated) + prior.information;
+  result.with_prior = Eigen::LDLT<Mat6>(together).solve(Mat6::Identity());
   T.normalize();
   *T_cam_world = T;
   result.ok = true;

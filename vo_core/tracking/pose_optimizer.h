@@ -7,6 +7,7 @@
 #include "vo_core/features/feature_detector.h"
 #include "vo_core/geometry/camera_model.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/tracking/motion_prior.h"
 
 namespace godwit::vo {
 
@@ -38,6 +39,7 @@ struct PoseOptimizerResult {
   int freedom = 0;            ///< its degrees of freedom: coordinates measured less six
   /// Of the left twist (v, w) of T_cam_world: as the stated sigmas have it, and larger where the residuals are.
   Mat6 covariance = Mat6::Identity();
+  Mat6 with_prior = Mat6::Identity();  ///< the same of measurements and prior together
   bool ok = false;
 };
 
@@ -45,10 +47,12 @@ struct PoseOptimizerResult {
 /// 1931; good to a per cent from three degrees on).
 double chi_square_limit(int freedom);
 
-/// Refines T_cam_world in place; marks outliers. ok = false (pose untouched) when fewer than 10 inliers remain or the
+/// Refines T_cam_world in place; marks outliers. A prior that is known counts as one more measurement, weighed against
+/// the others by what their residuals say of them. ok = false (pose untouched) when fewer than 10 inliers remain or the
 /// normal equations are singular. No allocation.
 PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizerOptions& options,
-                                  std::span<PoseMeasurement> measurements, SE3* T_cam_world);
+                                  std::span<PoseMeasurement> measurements, SE3* T_cam_world,
+                                  const PosePrediction& prior = {});
 
 /// Residual [px] and its Jacobian for the left twist of T_cam_world: the measured minus the predicted pixel. False when
 /// the point cannot be seen.

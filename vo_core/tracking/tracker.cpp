@@ -25,6 +25,7 @@ Tracker::Tracker(const CameraModel& camera, const TrackerOptions& options, MapCh
       landmarks_(std::make_unique<LandmarkFinder>(camera_, options.landmarks)),
       gate_(camera.width(), camera.height(), options.gate),
       noise_(options.shutter.readout_s > 0.0),
+      motion_(options.motion),
       certainty_(options.certainty),
       health_(options.health) {}
 Tracker::~Tracker() = default;
@@ -247,6 +248,11 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     // Of the poses as measured, not as aligned.
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     have_velocity_ = dt > 0.0;
+    if (frame->predicted.known) {
+      motion_.measured(frame->predicted, frame->T_cam_world, with_prior_);
+    } else {
+      motion_.begin(frame->velocity, with_prior_, median_depth_);
+    }
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;
     seen_ = {frame->T_cam_world, frame->t_capture_ns, true};

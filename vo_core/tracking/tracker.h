@@ -112,6 +112,7 @@ struct TrackerOptions {
   LandmarkFinderOptions landmarks;
   HealthOptions health;
   MotionGateOptions gate;
+  MotionPriorOptions motion;
   PoseCertaintyOptions certainty;
   /// A pose stands if its inliers' chi-square stays below what 999 of 1,000 right poses have, at noise whose variance
   /// is so many times the stated one: motion blur and what else the noise model leaves out.
@@ -193,6 +194,7 @@ class Tracker {
     bool crowded = false;      ///< much of it is masked
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
+    PosePrediction predicted;      ///< by how the camera moved
     PosePrior expected;
     std::uint32_t sequence = 0;
     std::uint32_t counter = 0;  ///< the tracker's own count
@@ -272,7 +274,9 @@ class Tracker {
   std::unique_ptr<LandmarkFinder> landmarks_;
   const MotionGate gate_;
   FrameNoise noise_;
-  double weight_scale_ = 1.0;  ///< of the last measure()
+  MotionPrior motion_;
+  Mat6 with_prior_ = Mat6::Identity();  ///< covariance of the last measure()'s pose
+  double weight_scale_ = 1.0;           ///< of the last measure()
   PoseCertainty certainty_;
   Health health_;
 

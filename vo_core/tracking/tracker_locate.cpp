@@ -105,8 +105,8 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
     m.sigma_px = match_sigma_px(found[i].level) * shaken * (found[i].shaded ? options_.shaded_sigma : 1.0);
   }
   match_count_ = r.matches;
-  PoseOptimizerResult p =
-      optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches), &frame->T_cam_world);
+  PoseOptimizerResult p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches),
+                                        &frame->T_cam_world, frame->predicted);
   rejected_count_ = 0;
   if (options_.gate.on && p.ok) {
     const std::size_t all = r.matches;
@@ -116,13 +116,15 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
       rejected_count_ = r.matches - left;
       result->shaded = static_cast<int>(
           std::count_if(found.begin(), found.begin() + left, [](const FrameFeature& f) { return f.shaded; }));
-      p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world);
+      p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world,
+                        frame->predicted);
     }
   }
   result->times.pose += now() - t1;
   result->measurements = p.ok ? p.inliers : 0;
   result->rms_px = p.rms_px;
   weight_scale_ = p.weight_scale;
+  with_prior_ = p.with_prior;
   refusal_ = {};
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
@@ -205,6 +207,7 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   const int attempt = expected ? relocalise_attempt_++ / 2 : relocalise_attempt_++;
   // What an attempt before this one has seen is not told as this one's.
   refusal_ = {};
+  frame->predicted = {};
   result->measurements = result->matches = result->shaded = result->trials = result->candidates = 0;
   const bool guessed = there              ? look_where_expected(frame->expected, frame, result)
                        : !frame->crowded  ? look_for_likeness(attempt, frame, result)
@@ -250,8 +253,14 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     // Constant velocity, over as much time as has passed; after a gap the camera may have done anything, unless someone
     // else has watched it.
     const bool near = gap <= options_.direct_gap_ns;
+    if (near && unproved_ == 0) {
+      frame->predicted = motion_.predict(last_.T_cam_world, rt::to_seconds(gap), median_depth_);
+      frame->predicted.correlated = noise_.correlated();
+    }
     SE3 guess;
-    if (have_velocity_ && near && gap > 0) {
+    if (frame->predicted.known) {
+      guess = frame->predicted.T_cam_world * last_.T_cam_world.inverse();
+    } else if (have_velocity_ && near && gap > 0) {
       guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     } else if (frame->expected.known) {
       guess =

@@ -40,6 +40,7 @@ void Tracker::drop_map() {
   landmarks_->forget();
   certainty_.clear();
   noise_.reset();
+  motion_.forget();
   ++epoch_;
   next_keyframe_id_ = 1;
   last_keyframe_id_ = 0;
