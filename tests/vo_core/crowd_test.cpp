@@ -39,7 +39,7 @@ TEST(Crowd, FewButSureFeaturesCarryOnWithoutBeingTold) {
   EXPECT_LT(off_by(flight, order, kFree + 10, scale), 0.05);
 
   // Without it nothing is gone on from between the movers: each pose there is sought anew.
-  options.least_measurements = few();
+  options.least_measurements = options.least_beside_prior = few();
   const Flight without = fly(order, options);
   for (std::size_t i = kFree; i < kFree + 10; ++i) EXPECT_FALSE(weak(without.frames[i])) << i;
 }
@@ -211,7 +211,7 @@ TEST(Crowd, FewFeaturesAreGoneOnFromWhateverHidesTheRest) {
   }
   EXPECT_GT(gone_on, 0);
   // Where such a pose is none, each frame of few features is sought anew.
-  options.least_measurements = few();
+  options.least_measurements = options.least_beside_prior = few();
   const Flight without = fly(order, options);
   for (std::size_t i = kFree; i < order.size(); ++i) EXPECT_FALSE(weak(without.frames[i])) << i;
 }

@@ -261,6 +261,19 @@ TEST(PoseOptimizer, RefusesTooFewMeasurementsAndLeavesThePose) {
   EXPECT_EQ(T.t, Vec3::Zero().eval());
 }
 
+TEST(PoseOptimizer, BesideAPriorFewerMeasurementsWillDo) {
+  const CameraModel camera = test::euroc();
+  const SE3 truth = some_pose();
+  for (const int count : {5, 8}) {
+    std::vector<PoseMeasurement> m = measure(camera, truth, count, 0.1, 3);
+    const SE3 predicted = SE3::exp((Vec6() << 0.004, 0, 0, 0, 0.004, 0).finished()) * truth;
+    SE3 T = predicted;
+    const PoseOptimizerResult r = optimize_pose(camera, {}, m, &T, prediction(predicted, 0.01, 0.01));
+    EXPECT_EQ(r.ok, count == 8);
+    if (r.ok) EXPECT_LT((T * truth.inverse()).log().norm(), 0.002);
+  }
+}
+
 TEST(PoseOptimizer, RefusesMeasurementsThatFitNoPose) {
   const CameraModel camera = test::euroc();
   std::vector<PoseMeasurement> m = measure(camera, some_pose(), 40, 0.0, 4);

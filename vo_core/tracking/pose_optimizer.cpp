@@ -13,6 +13,8 @@
 namespace godwit::vo {
 namespace hn = hwy::HWY_NAMESPACE;
 namespace {
+// A pose has six unknowns; a prior knows them all, and what is left is that the median of the errors means something.
+constexpr int kFewest = 10, kFewestBesidePrior = 6;
 constexpr double kFirstScale = 10.0, kMinScale = 0.5;
 constexpr double kSmallStep = 0.01;  // of the pose's own sigma: what is left to gain then is below its noise
 constexpr int kRoughSteps = 3;       // with the spread that the first pose leaves; from then on with that of the last
@@ -168,7 +170,8 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   PoseOptimizerResult result;
   const int n = std::min(rt::count_of(measurements), kMaxFrameFeatures);
   result.measurements = n;
-  if (n < 10) return result;
+  const int fewest = prior.known ? kFewestBesidePrior : kFewest;
+  if (n < fewest) return result;
   Rows rows(camera, measurements.first(n));
   std::array<float, kMaxFrameFeatures> errors;
   SE3 T = *T_cam_world;
@@ -181,7 +184,7 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
       const double median = measurements[i].type == FeatureType::kEdgelet ? 0.6745 : 1.1774;
       errors[count++] = static_cast<float>(rows.error(i) / median);
     }
-    if (count < 10) return false;
+    if (count < fewest) return false;
     std::nth_element(errors.begin(), errors.begin() + count / 2, errors.begin() + count);
     result.sigma_scale = static_cast<double>(errors[count / 2]);
     scale = std::clamp(result.sigma_scale, kMinScale, most);
@@ -222,7 +225,7 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
     result.freedom += m.type == FeatureType::kEdgelet ? 1 : 2;
     sum_px += rows.squared_px(i);
   }
-  if (result.inliers < 10) return result;
+  if (result.inliers < fewest) return result;
   rows.normal_equations(&H, &b);
   Eigen::LDLT<Mat6> ldlt(H);
   if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return result;

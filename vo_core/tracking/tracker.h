@@ -144,6 +144,7 @@ struct TrackerOptions {
   /// within eight frames, as its points took the place of what it hid; nothing of that is told with 10 or with 20.
   double vouched = 10.0;
   int least_measurements = 12;     ///< a pose with fewer is none
+  int least_beside_prior = 7;      ///< nor with fewer, where it is known how the camera moves
   double crowded = kCrowdedShare;  ///< where movers hide more of the picture, a lost pose is sought by landmarks
   /// With fewer measurements in the last frame, points that motion blur hides are looked for on coarser levels, too. On
   /// euroc_mh01 the fastest turns leave 36 measurements without that and 54 with it.

@@ -129,7 +129,8 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
   vouched_ = frame->crowded && p.ok ? evidence_of_vouched() : evidence_;
-  return result->measurements >= options_.least_measurements && as_noisy_as_stated(*result);
+  const int least = frame->predicted.known ? options_.least_beside_prior : options_.least_measurements;
+  return result->measurements >= least && as_noisy_as_stated(*result);
 }
 
 double Tracker::evidence_of_vouched() const {
