@@ -48,8 +48,8 @@ struct PoseOptimizerResult {
 double chi_square_limit(int freedom);
 
 /// Refines T_cam_world in place; marks outliers. A prior that is known counts as one more measurement, weighed against
-/// the others by what their residuals say of them. ok = false (pose untouched) when fewer than 10 inliers remain, beside a
-/// prior 6, or the normal equations are singular. No allocation.
+/// the others by what their residuals say of them. ok = false (pose untouched) when fewer than 10 inliers remain,
+/// beside a prior 6, or the normal equations are singular. No allocation.
 PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizerOptions& options,
                                   std::span<PoseMeasurement> measurements, SE3* T_cam_world,
                                   const PosePrediction& prior = {});
