@@ -196,6 +196,19 @@ TEST(Crowd, WhatIsSeenInAGapBetweenMoversIsNoStepAside) {
   EXPECT_GT(worst(massless), 0.045);
 }
 
+TEST(Crowd, ACameraThatIsPushedIsFollowed) {
+  // A step of six pictures' way within one, to a tracker that takes its camera for very heavy: the picture says better.
+  auto order = shots({{0, kFree - 1, 0.0}, {kFree + 6, kFree + 15, 0.0}});
+  TrackerOptions heavy;
+  heavy.motion.acceleration = heavy.motion.turn_acceleration = 0.01;
+  const Flight flight = fly(order, heavy, camera_of(640));
+  const double scale = scale_of(flight, order, kFree);
+  for (std::size_t i = kFree; i < order.size(); ++i) {
+    EXPECT_TRUE(flight.frames[i].tracked) << i << ": " << flight.frames[i].reason;
+    EXPECT_LT(off_by(flight, order, i, scale), 0.02) << i;
+  }
+}
+
 TEST(Crowd, FewFeaturesAreGoneOnFromWhateverHidesTheRest) {
   const auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 7, 0.35}});
   TrackerOptions options;

@@ -10,8 +10,8 @@ namespace godwit::vo {
 struct MotionPriorOptions {
   /// How fast velocity and turn rate change by chance: roots of the spectral densities of their white accelerations
   /// [scene depths/s^1.5, rad/s^1.5]. The true motion of tum_fr1_xyz, a camera in a hand, has 0.10 and 0.76 (the depth
-  /// is 1 m), that of euroc_mh01, swung by hand 3 m before a wall, 0.04 and 0.20. Among severe walkers (nine flights,
-  /// two ages of the masks) 0.25 and 0.7 leave 32 poses that are off by more than 5 cm; without a prior there are 264.
+  /// is 1 m), that of euroc_mh01, swung by hand 3 m before a wall, 0.04 and 0.20. Among severe walkers (eight flights,
+  /// masks 85 and 120 ms old) 0.25 and 0.7 leave 8 poses that are off by more than 5 cm; without a prior there are 232.
   double acceleration = 0.25, turn_acceleration = 0.7;
   /// How fast a camera may be of which nothing is known yet [scene depths/s, rad/s].
   double first_speed = 3.0, first_turn = 3.0;

@@ -219,6 +219,8 @@ class Tracker {
   bool look_where_expected(const PosePrior& expected, Frame* frame, FrameResult* result);
   bool look_for_likeness(int attempt, Frame* frame, FrameResult* result);
   bool recognise_landmarks(int attempt, bool near, Frame* frame, FrameResult* result);
+  /// The pose of so many of measurements_, with what is predicted of it, if they do not disagree with that.
+  PoseOptimizerResult fit_pose(int matches, Frame* frame);
   // Finds the map in the frame and its pose from that. `coarser`: where it is not found, on coarser levels, too.
   bool measure(const FrameInput& in, bool coarser, Frame* frame, FrameResult* result);
   /// Evidence for the pose of the last measure() by points that were right before. A mover's points agree with each

@@ -8,6 +8,12 @@
 #include "vo_core/tracking/tracker.h"
 
 namespace godwit::vo {
+namespace {
+/// Of the inliers, chi-square over its limit.
+double misfit(const PoseOptimizerResult& fit) {
+  return fit.chi_square / chi_square_limit(fit.freedom);
+}
+}  // namespace
 
 bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_cur_last_guess, FrameResult* result) {
   const rt::TimeNs t0 = now();
@@ -79,6 +85,15 @@ bool Tracker::recognise_landmarks(int attempt, bool near, Frame* frame, FrameRes
   return found.found;
 }
 
+PoseOptimizerResult Tracker::fit_pose(int matches, Frame* frame) {
+  const std::span measured(measurements_.data(), static_cast<std::size_t>(matches));
+  const PoseOptimizerResult p = optimize_pose(camera_, options_.pose, measured, &frame->T_cam_world, frame->predicted);
+  if (!frame->predicted.known || (p.ok && misfit(p) <= options_.noise_allowance)) return p;
+  // The picture has it that the camera was pushed, or shaken: then nothing is known of how it moves.
+  frame->predicted = {};
+  return optimize_pose(camera_, options_.pose, measured, &frame->T_cam_world);
+}
+
 bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameResult* result) {
   rt::TimeNs t0 = now();
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
@@ -105,8 +120,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
     m.sigma_px = match_sigma_px(found[i].level) * shaken * (found[i].shaded ? options_.shaded_sigma : 1.0);
   }
   match_count_ = r.matches;
-  PoseOptimizerResult p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), r.matches),
-                                        &frame->T_cam_world, frame->predicted);
+  PoseOptimizerResult p = fit_pose(r.matches, frame);
   rejected_count_ = 0;
   if (options_.gate.on && p.ok) {
     const std::size_t all = r.matches;
@@ -116,8 +130,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
       rejected_count_ = r.matches - left;
       result->shaded = static_cast<int>(
           std::count_if(found.begin(), found.begin() + left, [](const FrameFeature& f) { return f.shaded; }));
-      p = optimize_pose(camera_, options_.pose, std::span(measurements_.data(), left), &frame->T_cam_world,
-                        frame->predicted);
+      p = fit_pose(left, frame);
     }
   }
   result->times.pose += now() - t1;
@@ -126,7 +139,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   weight_scale_ = p.weight_scale;
   with_prior_ = p.with_prior;
   refusal_ = {};
-  result->misfit = p.ok ? p.chi_square / chi_square_limit(p.freedom) : 0.0;
+  result->misfit = p.ok ? misfit(p) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
   vouched_ = frame->crowded && p.ok ? evidence_of_vouched() : evidence_;
   const int least = frame->predicted.known ? options_.least_beside_prior : options_.least_measurements;
