@@ -200,7 +200,7 @@ TEST(Crowd, ACameraThatIsPushedIsFollowed) {
   // A step of six pictures' way within one, to a tracker that takes its camera for very heavy: the picture says better.
   auto order = shots({{0, kFree - 1, 0.0}, {kFree + 6, kFree + 15, 0.0}});
   TrackerOptions heavy;
-  heavy.motion.acceleration = heavy.motion.turn_acceleration = 0.01;
+  heavy.motion.acceleration = heavy.motion.turn_acceleration = 1e-4;
   const Flight flight = fly(order, heavy, camera_of(640));
   const double scale = scale_of(flight, order, kFree);
   for (std::size_t i = kFree; i < order.size(); ++i) {
