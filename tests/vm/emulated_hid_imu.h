@@ -164,9 +164,10 @@ class EmulatedHidImu {
     auto& input = event->u.input2;
     input.size = 1 + 3 * 4 + 8;
     input.data[0] = id;
+    if (noise) ++noisy_[id];  // every reading differs from the one before it
     for (std::size_t i = 0; i < 3; ++i) {
       std::int32_t value = (id == kGyro ? gyro : accel)[i];
-      if (noise) value += static_cast<std::int32_t>(count_++ % 3) - 1;
+      if (noise) value += static_cast<std::int32_t>((noisy_[id] + i) % 3) - 1;
       std::memcpy(input.data + 1 + 4 * i, &value, 4);
     }
     const auto t_us = static_cast<std::uint32_t>((t_ns - plugged_in_ns_) / 1000);
@@ -180,7 +181,7 @@ class EmulatedHidImu {
   bool open_ = false;
   std::array<std::array<std::uint8_t, 2>, 3> states_{{{1, 1}, {1, 1}, {1, 1}}};
   std::array<std::uint32_t, 3> interval_ms_{10, 10, 10};
-  std::uint32_t count_ = 0;
+  std::array<std::uint32_t, 3> noisy_{};
   std::thread thread_;
 };
 

@@ -194,7 +194,9 @@ void iio() {
 /// As an Intel D435i is one: two devices, and a clock of its own of 32 bits.
 void hid() {
   constexpr rt::TimeNs kWrapNs = (rt::TimeNs{1} << 32) * 1000;
-  auto device = std::make_unique<vm::EmulatedHidImu>(60 * rt::kNsPerSecond);
+  // Plugged in long before this machine began: its clock must not happen to be CLOCK_MONOTONIC.
+  constexpr rt::TimeNs kPluggedInNs = 3600 * rt::kNsPerSecond;
+  auto device = std::make_unique<vm::EmulatedHidImu>(kPluggedInNs);
   if (!check(device->there(), "/dev/uhid")) return;
   run("for i in $(seq 100); do n=$(cat /sys/bus/iio/devices/*/name 2>/dev/null | grep -cE '^(gyro|accel)_3d$'); "
       "[ $n = 2 ] && exit; sleep 0.2; done; exit 1");
@@ -217,6 +219,8 @@ void hid() {
     const double age_ms = rt::to_ms(rt::monotonic_now_ns() - s.last.t_ns);
     check(s.samples == samples && s.not_later == 0 && std::abs(s.mean_step_ms - 5) < 0.25, what + ": " + text(s));
     check(near, "in SI units");
+    const std::string meanwhile = events(imu.get());
+    check(meanwhile.find("stuck") == std::string::npos, "and nothing is stuck: " + meanwhile);
     check(age_ms > -1 && age_ms < 500, "on CLOCK_MONOTONIC: the last is " + std::to_string(age_ms) + " ms old");
   };
   measures(400, "HID, 200 Hz");
@@ -227,7 +231,7 @@ void hid() {
       [&] { device->mute = false; });
   broken(
       imu.get(), "a device that is unplugged", "IMU", [&] { device.reset(); },
-      [&] { device = std::make_unique<vm::EmulatedHidImu>(60 * rt::kNsPerSecond); });
+      [&] { device = std::make_unique<vm::EmulatedHidImu>(kPluggedInNs); });
   events(imu.get());
   device->set_clock(kWrapNs - rt::kNsPerSecond);
   int followed = 0;
