@@ -107,8 +107,8 @@ TEST(Crowd, APoseThatItsOwnPictureSpeaksAgainstIsSoughtAnewOrNotTold) {
   auto order = shots({{0, kFree + 3, 0.0}});
   for (std::size_t i = kFree + 1; i < kFree + 3; ++i) order[i].torn = 6;
   TrackerOptions options;
-  options.crowded = -1.0;  // whatever hides, or does not
-  options.steady = 0.0;    // nor is the motion a witness
+  options.crowded = -1.0;                                                // whatever hides, or does not
+  options.motion.acceleration = options.motion.turn_acceleration = 1e6;  // nor is the motion a witness
   const Flight flight = fly(order, options);
   ASSERT_TRUE(flight.frames[kFree].tracked);
   const double scale = scale_of(flight, order, kFree);
@@ -133,12 +133,12 @@ TEST(Crowd, WhereTheMotionGoesOnAPoseIsToldThoughItsPictureSaysLittle) {
   order[kFree + 1].blur = 12;
   TrackerOptions options;
   options.crowded = -1.0;  // whatever hides, or does not
-  options.held = 55.0;     // what a blurred picture does not have
+  options.told = 45.0;     // what a blurred picture does not have
   const Flight flight = fly(order, options);
   EXPECT_TRUE(flight.frames[kFree + 1].tracked) << flight.frames[kFree + 1].reason;
   EXPECT_LT(off_by(flight, order, kFree + 1, scale_of(flight, order, kFree)), 0.02);
   // Without that witness it is gone on from and not told.
-  options.steady = 0.0;
+  options.motion.acceleration = options.motion.turn_acceleration = 1e6;
   const Flight alone = fly(order, options);
   EXPECT_FALSE(alone.frames[kFree + 1].tracked);
   EXPECT_STREQ(alone.frames[kFree + 1].reason, "too little speaks for the pose [nats]");
@@ -160,12 +160,12 @@ TEST(Crowd, BetweenMoversOnlyPointsThatWereRightBeforeProveAPose) {
   EXPECT_GT(flight.vouched.back(), flight.points[first] + 30);
 
   // As if those had not sufficed for a pose: what comes later proves none, and stays as it is.
-  options.vouched = 1e6;
+  options.told = 1e6;
   const Flight without = fly(order, options);
   std::size_t i = first + 1;
   for (; i < order.size() && without.frames[i].state != State::kLost; ++i) {
     EXPECT_FALSE(without.frames[i].tracked) << i;
-    EXPECT_STREQ(without.frames[i].reason, "what speaks for the pose appeared between movers [nats]") << i;
+    EXPECT_STREQ(without.frames[i].reason, "too little speaks for the pose [nats]") << i;
     EXPECT_GE(without.frames[i].measurements, options.health.min_measurements) << i << ": it is not for their number";
     EXPECT_LE(without.vouched[i], flight.points[first]) << i;
   }

@@ -52,6 +52,24 @@ TEST(MotionPrior, OfAFirstPoseTheVelocityMayBeAnything) {
   EXPECT_NEAR(std::sqrt(covariance(3, 3)), o.first_turn * kInterval, 0.01);
 }
 
+TEST(MotionPrior, WhatIsKnownOfTheMotionSpeaksForThePosesItLeadsTo) {
+  MotionPrior prior;
+  const Mat6 noise = measurement(0.001, 0.001);
+  EXPECT_EQ(prior.predict({}, kInterval, kDepth).evidence({}), 0.0) << "nothing is known";
+  prior.begin(Vec6::Zero(), noise, kDepth);
+  // Of a first pose hardly more than that a camera is there.
+  EXPECT_NEAR(prior.predict({}, kInterval, kDepth).evidence({}), 0.0, 0.1);
+  for (int i = 0; i < 20; ++i) {
+    const PosePrediction p = prior.predict({}, kInterval, kDepth);
+    prior.measured(p, {}, together(p, {}, noise).second);
+  }
+  const PosePrediction p = prior.predict({}, kInterval, kDepth);
+  EXPECT_GT(p.evidence({}), 15.0);
+  // Three sigmas aside, 4.5 nats less.
+  const double sigma = 1.0 / std::sqrt(p.information(0, 0));
+  EXPECT_NEAR(p.evidence(SE3::exp((Vec6() << 3.0 * sigma, 0, 0, 0, 0, 0).finished())), p.evidence({}) - 4.5, 1e-9);
+}
+
 TEST(MotionPrior, AConstantTwistGoesOnOverAnyInterval) {
   MotionPrior prior;
   const Vec6 rate = (Vec6() << 0.6, -0.2, 0.1, 0.05, 0.4, -0.1).finished();

@@ -1,6 +1,7 @@
 #include "vo_core/tracking/motion_prior.h"
 
 #include <Eigen/Cholesky>
+#include <cmath>
 
 namespace godwit::vo {
 
@@ -20,6 +21,8 @@ PosePrediction MotionPrior::predict(const SE3& T_last, double dt, double depth) 
   out.T_cam_world = SE3::exp(dt * rate_) * T_last;
   out.information = ldlt.solve(Mat6::Identity());
   out.known = ldlt.info() == Eigen::Success && ldlt.isPositive() && out.information.allFinite();
+  const double v = options_.first_speed * depth * dt, turn = options_.first_turn * dt;
+  out.most_evidence = 3.0 * std::log(v * turn) - 0.5 * ldlt.vectorD().array().log().sum();
   return out;
 }
 

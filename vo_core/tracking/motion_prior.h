@@ -22,8 +22,16 @@ struct PosePrediction {
   bool known = false;
   SE3 T_cam_world;
   Mat6 information = Mat6::Zero();  ///< of the left twist (v, w) of T_cam_world [map units, rad]
+  /// How much likelier than with a camera of which nothing is known the pose is this one [nats].
+  double most_evidence = 0.0;
   /// By how much a picture's measurements together are less sure than one by one: ratio of variances (frame_noise.h).
   double correlated = 1.0;
+
+  /// Nats for a pose: the likelihood of it by how the camera moved over that by nothing.
+  double evidence(const SE3& T) const {
+    const Vec6 off = (T * T_cam_world.inverse()).log();
+    return known ? most_evidence - 0.5 * off.dot(information * off) : 0.0;
+  }
 };
 
 /// Constant velocity and white acceleration: a Kalman filter of the pose's left twist and its rate (Bar-Shalom, Li and

@@ -118,7 +118,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   result->times.keyframe = now() - t0;
 }
 
-bool Tracker::same_picture(const rt::ImageView& grey) {
+bool Tracker::same_picture(const rt::ImageView& picture) {
   // Every eighth row, eight bytes at a time: a sensor's noise changes some of them in any two pictures. Four sums
   // beside each other, since each waits for its last product.
   constexpr int kSums = 4, kStep = 8 * kSums;
@@ -127,15 +127,15 @@ bool Tracker::same_picture(const rt::ImageView& grey) {
     sum = (sum ^ eight) * 0x9e3779b97f4a7c15ULL;
     return sum ^ (sum >> 29);
   };
-  for (int y = 0; y < grey.height; y += 8) {
-    const std::uint8_t* row = grey.row(y);
+  for (int y = 0; y < picture.height; y += 8) {
+    const std::uint8_t* row = picture.row(y);
     int x = 0;
-    for (; x + kStep <= grey.width; x += kStep) {
+    for (; x + kStep <= picture.width; x += kStep) {
       std::array<std::uint64_t, kSums> eight;
       std::memcpy(eight.data(), row + x, kStep);
       for (int k = 0; k < kSums; ++k) sums[k] = mix(sums[k], eight[k]);
     }
-    for (; x + 8 <= grey.width; x += 8) {
+    for (; x + 8 <= picture.width; x += 8) {
       std::uint64_t eight;
       std::memcpy(&eight, row + x, 8);
       sums[0] = mix(sums[0], eight);
@@ -162,8 +162,9 @@ FrameResult Tracker::track(const FrameInput& in) {
   frame.mask = in.mask;
   frame.crowded = covered_share(in.mask) > options_.crowded;
   if (expects(in)) frame.expected = in.expected;
-  const bool same = same_picture(in.grey);
   frame.pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
+  // The half-size picture is in the cache already, and a fourth as large.
+  const bool same = same_picture(frame.pyramid.level[1]);
   rt::TimeNs t1 = now();
   result.times.pyramid = t1 - t0;
   room();
@@ -232,7 +233,6 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
   if (kind != Kind::kUnproved) {
     result->tracked = kind == Kind::kPose || kind == Kind::kFound;
     if (result->tracked && vouched_ >= options_.held) vouch();
-    if (result->tracked) told_ = {Seen{frame->T_cam_world, frame->t_capture_ns, true}, told_[0]};
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =
         noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);
@@ -248,7 +248,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     // Of the poses as measured, not as aligned.
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     have_velocity_ = dt > 0.0;
-    if (frame->predicted.known) {
+    if (frame->goes_on) {
       motion_.measured(frame->predicted, frame->T_cam_world, with_prior_);
     } else {
       motion_.begin(frame->velocity, with_prior_, median_depth_);

@@ -130,19 +130,12 @@ struct TrackerOptions {
   double most_evidence = 60.0;  ///< a guess whose first picture has as much needs no second look
   double worst_frame = -30.0;
   double sure = 40.0;
-  /// A pose that followed right ones is right with this; and a guess where it was expected. Between movers it is told
-  /// only where its own picture has it, or it is where the motion goes on: of 2,539 poses told among the severe walkers
-  /// 27 of 48 with less were off by more than 5 cm, of the others 11.
-  double held = 20.0;
-  /// So far from where the motion of the two poses told before goes on, over the scene's depth, and turned by so much,
-  /// a pose may lie that this is a second witness for. In eight severe flights 94 of 100 poses do; of 120 with less
-  /// than `held` 27 do, one of them off by more than 5 cm, and of the 93 others 70 are.
-  double steady = 0.02;
+  double held = 20.0;       ///< a pose that followed right ones is right with this; and a guess where it was expected
   double promising = 10.0;  ///< makes a pose worth following; 99.4 % of the right ones and 6 of 144 wrong ones have it
-  /// Of it so much must come from points that agreed with right poses before (Tracker::evidence_of_vouched), or between
-  /// movers a pose isn't told. Measured among the severe walkers, where one flight of ten stepped over onto a mover
-  /// within eight frames, as its points took the place of what it hid; nothing of that is told with 10 or with 20.
-  double vouched = 10.0;
+  /// Between movers a pose is told with this: by points that agreed with right poses before (evidence_of_vouched(); a
+  /// mover's agree with each other) and, at most half of it, by how the camera moved. In eight severe flights, masks 85
+  /// and 120 ms old, 10 poses told are off by more than 5 cm; by the motion and all points alike, 35.
+  double told = 20.0;
   int least_measurements = 12;     ///< a pose with fewer is none
   int least_beside_prior = 7;      ///< nor with fewer, where it is known how the camera moves
   double crowded = kCrowdedShare;  ///< where movers hide more of the picture, a lost pose is sought by landmarks
@@ -196,6 +189,7 @@ class Tracker {
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
     PosePrediction predicted;      ///< by how the camera moved
+    bool goes_on = false;          ///< the pose is one that this leads to
     PosePrior expected;
     std::uint32_t sequence = 0;
     std::uint32_t counter = 0;  ///< the tracker's own count
@@ -234,15 +228,12 @@ class Tracker {
   bool proves(double wanted, double evidence);
   bool as_noisy_as_stated(const FrameResult& r);
   bool as_expected(const Frame& frame);
-  bool vouched_for();
   bool told_between_movers(const Frame& frame);
-  /// Whether a pose lies where the motion of the two told before goes on: a witness beside its own picture.
-  bool moves_on(const Frame& frame) const;
   bool expects(const FrameInput& in) const { return in.expected.known && in.expected.map_id == map_id_; }
   bool find_in_map(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
   void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
-  bool same_picture(const rt::ImageView& grey);
+  bool same_picture(const rt::ImageView& picture);
   void consider_keyframe(Frame* frame, FrameResult* result);
   bool send_reset();
   bool send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, int place);
@@ -301,7 +292,6 @@ class Tracker {
     bool known = false;
   };
   Seen seen_;                   ///< where the camera was when a pose last held, whatever became of guesses since then
-  std::array<Seen, 2> told_;    ///< the last poses that were told, the later one first
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few

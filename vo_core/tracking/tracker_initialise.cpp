@@ -137,7 +137,6 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
   gathered_ = options_.most_evidence;
   last_.mask = {};
   seen_ = {current.T_cam_world, current.t_capture_ns, true};
-  told_ = {seen_, Seen{}};
   have_velocity_ = interval_s > 0.0;
   ++map_id_;
   result->tracked = n >= options_.health.min_measurements;

@@ -88,9 +88,9 @@ bool Tracker::recognise_landmarks(int attempt, bool near, Frame* frame, FrameRes
 PoseOptimizerResult Tracker::fit_pose(int matches, Frame* frame) {
   const std::span measured(measurements_.data(), static_cast<std::size_t>(matches));
   const PoseOptimizerResult p = optimize_pose(camera_, options_.pose, measured, &frame->T_cam_world, frame->predicted);
-  if (!frame->predicted.known || (p.ok && misfit(p) <= options_.noise_allowance)) return p;
+  frame->goes_on = frame->predicted.known && p.ok && misfit(p) <= options_.noise_allowance;
+  if (frame->goes_on || !frame->predicted.known) return p;
   // The picture has it that the camera was pushed, or shaken: then nothing is known of how it moves.
-  frame->predicted = {};
   return optimize_pose(camera_, options_.pose, measured, &frame->T_cam_world);
 }
 
@@ -142,7 +142,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   result->misfit = p.ok ? misfit(p) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
   vouched_ = frame->crowded && p.ok ? evidence_of_vouched() : evidence_;
-  const int least = frame->predicted.known ? options_.least_beside_prior : options_.least_measurements;
+  const int least = frame->goes_on ? options_.least_beside_prior : options_.least_measurements;
   return result->measurements >= least && as_noisy_as_stated(*result);
 }
 
@@ -191,25 +191,10 @@ bool Tracker::as_expected(const Frame& frame) {
   return false;
 }
 
-bool Tracker::moves_on(const Frame& frame) const {
-  const auto& [last, before] = told_;
-  const rt::TimeNs gap = frame.t_capture_ns - last.t_capture_ns, gap_before = last.t_capture_ns - before.t_capture_ns;
-  if (!before.known || std::max(gap, gap_before) > options_.direct_gap_ns) return false;
-  const Vec6 moved = (last.T_cam_world * before.T_cam_world.inverse()).log();
-  const SE3 expected = SE3::exp(moved * (rt::to_seconds(gap) / rt::to_seconds(gap_before))) * last.T_cam_world;
-  const SE3 apart = expected * frame.T_cam_world.inverse();
-  return apart.t.norm() <= options_.steady * median_depth_ && so3_log(apart.R).norm() <= options_.steady;
-}
-
-bool Tracker::vouched_for() {
-  if (vouched_ >= options_.vouched) return true;
-  refusal_ = {"what speaks for the pose appeared between movers [nats]", static_cast<int>(vouched_),
-              static_cast<int>(options_.vouched)};
-  return false;
-}
-
 bool Tracker::told_between_movers(const Frame& frame) {
-  return (moves_on(frame) || proves(options_.held, evidence_)) && vouched_for();
+  const double by_motion = frame.goes_on ? frame.predicted.evidence(frame.T_cam_world) : 0.0;
+  // At most half of it by how the camera moved: a mover that is followed goes on evenly, too.
+  return proves(options_.told, vouched_ + std::min(0.5 * options_.told, by_motion));
 }
 
 bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* result) {
@@ -236,8 +221,8 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
 
 FrameEvidence::Kind Tracker::found(const FrameResult& r) {
   // A second look at the same place would see what this one has: a pattern that repeats does so in both.
-  const bool sure =
-      r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence && vouched_for();
+  const bool sure = r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence &&
+                    proves(options_.told, vouched_);
   return sure ? FrameEvidence::Kind::kFound : FrameEvidence::Kind::kUnproved;
 }
 

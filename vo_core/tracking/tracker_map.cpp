@@ -49,7 +49,6 @@ void Tracker::drop_map() {
   have_velocity_ = false;
   unproved_ = 0;
   seen_ = {};
-  told_ = {};
   relocalise_attempt_ = 0;
   reset_pending_ = true;
 }
@@ -90,7 +89,7 @@ void Tracker::apply(const MapDelta& d) {
   // The last frame moves with the keyframe it hangs on, and so do keyframes that the mapper did not have yet.
   const int anchor = map_->find_keyframe(last_keyframe_id_);
   const SE3 T_world_anchor = anchor >= 0 ? map_->keyframe(anchor).T_kf_world.inverse() : SE3();
-  const std::array hanging{&last_.T_cam_world, &seen_.T_cam_world, &told_[0].T_cam_world, &told_[1].T_cam_world};
+  const std::array hanging{&last_.T_cam_world, &seen_.T_cam_world};
   std::array<SE3, hanging.size()> T_hanging_anchor;
   for (std::size_t i = 0; i < hanging.size(); ++i) T_hanging_anchor[i] = *hanging[i] * T_world_anchor;
   std::array<SE3, kMaxKeyframes> T_next_previous;
