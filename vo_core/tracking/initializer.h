@@ -26,8 +26,8 @@ struct InitializerOptions {
   /// Median of depth_sigma / depth above which the map is refused. 0.03 let climbs from a flat pad begin 4 degrees off
   /// their direction (take-off-and-land: 0.33 m instead of 0.07); with 0.01 bare ground begins later for nothing.
   double max_depth_uncertainty = 0.02;
-  /// Robust cost of the best motion over that of a different one, at most. Of first maps among walkers with more than 0.75
-  /// three of ten were of a wrong motion, with less two of 58.
+  /// Robust cost of the best motion over that of a different one, at most. Of first maps among walkers with more than
+  /// 0.75 three of ten were of a wrong motion, with less two of 58.
   double max_ambiguity = 0.75;
   double homography_ratio = 0.4;  ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
