@@ -109,6 +109,9 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   const vo::MetricPose metric = odometry_->frame(seen);
   if (metric.valid && odometry_->aids_off2() >= 0)
     navigation_->contradicted(kCheckedBy[most_heard(odometry_->aided_scale())], odometry_->aids_off2(), t_ns);
+  // Dead reckoning would go on from what has just been found wrong.
+  if (odometry_->contradicted())
+    navigation_->break_frame(odometry_->refusal().text, odometry_->refusal().value, odometry_->refusal().limit);
   vo::MetricMoment moment;
   if (metric.valid) moment = moment_of(*odometry_, metric);
   const vo::NavigationPose pose = navigation_->frame(t_ns, metric.valid ? &moment : nullptr);
@@ -116,8 +119,10 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
   if (pose.source == Source::kSeen) {
     tell_sensor(metric.log_scale_sigma);
     fill(pose, record);
-    if (pose.why[0] != '\0')
-      record->reason.assign_measured(pose.why, measured_figure(pose.value), measured_figure(pose.limit));
+    if (pose.why[0] != '\0') {
+      record->why = {pose.why, measured_figure(1000 * pose.value), measured_figure(1000 * pose.limit)};
+      record->reason.assign_measured(record->why.text, record->why.value, record->why.limit);
+    }
     return;
   }
   const bool seen_without_metres = record->has_pose;

@@ -174,7 +174,8 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   const rt::TimeNs missing_ns = measured_since(node.t_ns, &node.since_last);
   // Readings held over the whole of it are none: the bias that they make outlives the window.
   if (missing_ns > options_.max_missing_ns || missing_ns >= node.t_ns - last || node.since_last.dt_s() <= 0) {
-    refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns), rt::to_seconds(options_.max_missing_ns));
+    refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns),
+           rt::to_seconds(std::min(options_.max_missing_ns, node.t_ns - last)));
     begin_window(pose);
     return false;
   }
@@ -287,6 +288,7 @@ void InertialOdometry::set_prior(double accel_bias_sigma, double course_sigma) {
 }
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
+  contradicted_ = false;
   if (!pose.tracked || buffer_.empty()) return {};
   stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)
@@ -318,6 +320,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     } else if (!plausible(options_.most_sigmas)) {
       // What vision and sensor disagree about has gone where it could go: nothing of this window can be believed.
       prior_kept_ = false;
+      contradicted_ = true;
       begin_window(pose);
     } else {
       anchor_.level(up_seen());

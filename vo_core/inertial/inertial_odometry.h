@@ -84,6 +84,9 @@ class InertialOdometry : public MetricMap {
   /// Pictures with which others contradicted the scale that is held for true.
   std::uint64_t aids_contradicted() const { return aids_contradicted_; }
   std::uint64_t refused_readings() const { return buffer_.refused(); }
+  /// With the last frame vision and sensor contradicted each other so far that what the window had was given up. Which
+  /// of them is wrong nobody knows: neither may be gone on from.
+  bool contradicted() const { return contradicted_; }
 
  private:
   /// What was measured since the newest moment, up to a time; returns how much of it nobody measured.
@@ -175,6 +178,7 @@ class InertialOdometry : public MetricMap {
   // nothing).
   Preintegration bridge_;
   rt::TimeNs t_bridge_ns_ = 0, bridge_missing_ns_ = 0;
+  bool contradicted_ = false;
   bool prior_kept_ = true;  ///< what the window says of the sensor is taken over by the next one
   std::uint32_t map_id_ = 0;
   VisualPose before_;                     ///< the last picture's, corrections of the map taken in; without points
