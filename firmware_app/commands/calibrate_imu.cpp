@@ -107,7 +107,8 @@ int run_calibrate_imu(const CalibrateArguments& a) {
   };
   const auto record = hal::read_imu_record(a.recording);
   if (!record) return failed(record.error().message, kExitRefused);
-  if (!record.value().cut_off.empty()) fmt::print(stderr, "godwit: warning: {}\n", record.value().cut_off);
+  for (const std::string& words : record.value().warnings(a.recording))
+    fmt::print(stderr, "godwit: warning: {}\n", words);
   const auto noise = hal::analyse_still(record.value().samples);
   if (!noise) return failed(a.recording + ": " + noise.error().message, kExitRefused);
   const hal::ImuNoise& n = noise.value();

@@ -288,7 +288,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
     auto record = hal::read_imu_record(sequence.value());
     if (!record) return refuse(record.error().message);
-    tell_cut_off(record.value().cut_off);
+    for (const std::string& words : record.value().warnings(sequence.value())) tell_cut_off(words);
     imu_errors = record.value().errors;
     if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");

@@ -27,7 +27,7 @@ rt::Result<std::unique_ptr<hal::Imu>> open_daemon_imu(const Config& config, cons
   }
   auto record = hal::read_imu_record(config.camera.sequence);
   if (!record) return rt::Error{"imu.source: " + record.error().message};
-  if (!record.value().cut_off.empty()) say("warning: imu.source: " + record.value().cut_off);
+  for (const std::string& words : record.value().warnings(config.camera.sequence)) say("warning: imu.source: " + words);
   return std::unique_ptr<hal::Imu>(std::make_unique<hal::ReplayImu>(std::move(record).value(), camera.time(), true));
 }
 

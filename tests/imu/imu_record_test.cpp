@@ -66,6 +66,20 @@ TEST(ImuRecord, TimesThatRepeatOrGoBackAreLeftOutAndCounted) {
   ASSERT_TRUE(r.ok());
   EXPECT_EQ(r.value().samples.size(), 2u);
   EXPECT_EQ(r.value().time_repeated, 2u);
+  EXPECT_THAT(r.value().warnings("here"),
+              testing::ElementsAre("here: 2 of 4 inertial readings are no later than the one before: left out"));
+}
+
+TEST(ImuRecord, ReadingsThatNeverChangeAreTold) {
+  std::string text;
+  for (int i = 0; i < 40; ++i)
+    text += std::to_string(i) + (i < 15 ? " 0 0 " + std::to_string(i) : " 1 2 3") + " 0 0 9.8\n";
+  const auto r = parse_tum_imu(text, "imu.txt");
+  ASSERT_TRUE(r.ok()) << r.error().message;
+  EXPECT_EQ(r.value().samples.size(), 40u) << "what they are good for others decide";
+  EXPECT_EQ(r.value().stuck, 6u);
+  EXPECT_THAT(r.value().warnings("here"),
+              testing::ElementsAre("here: the inertial sensor is stuck in 6 of 40 readings"));
 }
 
 TEST(ImuRecord, IsFoundWhereverACameraIs) {

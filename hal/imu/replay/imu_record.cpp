@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <system_error>
 
+#include "hal/imu/reading_check.h"
 #include "hal/record_file.h"
 
 namespace godwit::hal {
@@ -48,6 +49,7 @@ double rate_of(const std::vector<ImuSample>& samples) {
 rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char separator,
                             bool (*read_time)(std::string_view, rt::TimeNs*), const char* time_words) {
   ImuRecord record;
+  int same = 0;
   const auto read = for_each_record(text, name, [&](std::string_view line, int /*number*/) -> std::string {
     ImuSample sample;
     const std::string_view time = take_field(&line, separator);
@@ -57,6 +59,11 @@ rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char
     if (!record.samples.empty() && sample.t_ns <= record.samples.back().t_ns) {
       ++record.time_repeated;
     } else {
+      const ImuSample* const last = record.samples.empty() ? nullptr : &record.samples.back();
+      const bool again =
+          last != nullptr && sample.gyro_rad_s == last->gyro_rad_s && sample.accel_m_s2 == last->accel_m_s2;
+      same = again ? same + 1 : 1;
+      if (same >= ReadingCheck::kStuckSamples) ++record.stuck;
       record.samples.push_back(sample);
     }
     return {};
@@ -94,6 +101,20 @@ rt::Result<ImuErrorModel> errors_of(const Layout& layout) {
 }
 
 }  // namespace
+
+std::vector<std::string> ImuRecord::warnings(const std::string& name) const {
+  std::vector<std::string> out;
+  if (!cut_off.empty()) out.push_back(cut_off);
+  if (time_repeated > 0) {
+    out.push_back(name + ": " + std::to_string(time_repeated) + " of " +
+                  std::to_string(samples.size() + time_repeated) +
+                  " inertial readings are no later than the one before: left out");
+  }
+  if (stuck > 0)
+    out.push_back(name + ": the inertial sensor is stuck in " + std::to_string(stuck) + " of " +
+                  std::to_string(samples.size()) + " readings");
+  return out;
+}
 
 rt::Result<ImuRecord> parse_euroc_imu(std::string_view text, const std::string& name) {
   return parse(text, name, ',', parse_nanoseconds, "whole nanoseconds");

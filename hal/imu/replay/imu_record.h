@@ -15,9 +15,13 @@ namespace godwit::hal {
 struct ImuRecord {
   std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
   std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
-  double rate_hz = 0;               ///< by the median of the steps; 0: a single sample
-  ImuErrorModel errors;             ///< as the recording says it
-  std::string cut_off;              ///< where and how it breaks off in its last line; empty: it does not
+  std::uint64_t stuck = 0;  ///< the same readings as in so many lines before that no sensor that works gives them
+  double rate_hz = 0;       ///< by the median of the steps; 0: a single sample
+  ImuErrorModel errors;     ///< as the recording says it
+  std::string cut_off;      ///< where and how it breaks off in its last line; empty: it does not
+
+  /// What is wrong with a record that is used all the same, a line each; name: of the recording.
+  std::vector<std::string> warnings(const std::string& name) const;
 };
 
 /// Lines "nanoseconds,wx,wy,wz,ax,ay,az" [rad/s], [m/s^2]; '#' starts a comment. Error: names the file, line and
