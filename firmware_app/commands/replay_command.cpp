@@ -36,8 +36,8 @@ void take_mover_options(const ReplayArguments& a, const ConfigReport& file, Conf
   config->detector.small_model.clear();
 }
 
-/// A recording of a machine that died is flown as far as it is whole.
-void tell_cut_off(const std::string& words) {
+/// As of a recording of a machine that died, which is flown as far as it is whole.
+void warn(const std::string& words) {
   if (!words.empty()) fmt::print(stderr, "godwit: warning: {}\n", words);
 }
 
@@ -277,7 +277,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
   replay.time = &time;
   auto camera = hal::ReplayCamera::open(sequence.value(), replay);
   if (!camera) return refuse(camera.error().message);
-  tell_cut_off(camera.value()->cut_off());
+  warn(camera.value()->cut_off());
   std::unique_ptr<hal::ReplayImu> imu;
   hal::ImuErrorModel imu_errors;
   std::vector<hal::ImuSample> readings;
@@ -288,7 +288,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     if (a.loop > 1) return refuse("--imu with --loop: nobody measured the way back");
     auto record = hal::read_imu_record(sequence.value());
     if (!record) return refuse(record.error().message);
-    for (const std::string& words : record.value().warnings(sequence.value())) tell_cut_off(words);
+    for (const std::string& words : record.value().warnings(sequence.value())) warn(words);
     imu_errors = record.value().errors;
     if (!a.write_calibration.empty()) readings = record.value().samples;
     imu = std::make_unique<hal::ReplayImu>(std::move(record).value(), &time, a.pace == "real");
@@ -298,7 +298,7 @@ int run_replay(const ReplayArguments& a, const std::atomic<bool>& stop) {
     std::vector<std::string> cut_off;
     auto record = hal::read_aid_record(sequence.value(), hal::parse_aid_kinds(a.aids).value(), &cut_off);
     if (!record) return refuse("--aids: " + record.error().message);
-    for (const std::string& words : cut_off) tell_cut_off(words);
+    for (const std::string& words : cut_off) warn(words);
     aids = std::make_unique<hal::ReplayAids>(std::move(record).value(), &time);
   }
   const hal::CameraCalibration& calibration = camera.value()->calibration();

@@ -9,6 +9,7 @@
 #include <limits>
 #include <string>
 
+#include "tests/app/mounting_matrix.h"
 #include "tests/vo_core/aided_flown.h"
 
 namespace godwit::app {
@@ -20,7 +21,7 @@ using vo::Vec3;
 /// The flight of aided_flown.h as the tracker tells of it.
 class Flown {
  public:
-  explicit Flown(unsigned seed) : flight_(seed, 0), poses_(mounting()) {}
+  explicit Flown(unsigned seed) : flight_(seed, 0), poses_(mounting_matrix(flight_.mounting_)) {}
 
   void hear(hal::AidKind kind, double t, const Vec3& value, double sigma) {
     hal::AidSample s;
@@ -63,16 +64,6 @@ class Flown {
   vo::test::AidedFlown flight_;
   AidedPoses poses_;
   bool attitude_ = true, range_ = true, tracked_ = true, repeated_ = false, spoil_ = false;
-
- private:
-  std::array<double, 16> mounting() const {
-    std::array<double, 16> T{};
-    Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> M(T.data());
-    M.setIdentity();
-    M.topLeftCorner<3, 3>() = flight_.mounting_.R_body_cam;
-    M.topRightCorner<3, 1>() = flight_.mounting_.t_body_cam_m;
-    return T;
-  }
 };
 
 TEST(AidedPoses, AsLongAsNoAttitudeIsHeardTheRecordStaysVisions) {

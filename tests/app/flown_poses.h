@@ -7,6 +7,7 @@
 #include <functional>
 
 #include "firmware_app/pipeline/inertial_poses.h"
+#include "tests/app/mounting_matrix.h"
 #include "tests/vo_core/inertial_flown.h"
 
 namespace godwit::app::flown_poses {
@@ -20,7 +21,7 @@ class Flown {
  public:
   explicit Flown(unsigned seed, rt::TimeNs coast_ns = 2 * rt::kNsPerSecond, double time_offset_s = 0,
                  const hal::ImuErrorModel& errors = {})
-      : flight_(1.0, seed), poses_(mounting(), coast_ns, time_offset_s, errors) {}
+      : flight_(1.0, seed), poses_(mounting_matrix(flight_.mounting_), coast_ns, time_offset_s, errors) {}
 
   FrameRecord frame(int k) {
     for (int i = 1; i <= 10; ++i) {
@@ -78,16 +79,6 @@ class Flown {
   std::uint32_t map_id_ = 1;
   std::function<void(hal::ImuSample*)> spoil_sample_;
   std::function<void(vo::FrameResult*)> spoil_result_;
-
- private:
-  std::array<double, 16> mounting() const {
-    std::array<double, 16> T{};
-    Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> M(T.data());
-    M.setIdentity();
-    M.topLeftCorner<3, 3>() = flight_.mounting_.R_body_cam;
-    M.topRightCorner<3, 1>() = flight_.mounting_.t_body_cam_m;
-    return T;
-  }
 };
 
 }  // namespace godwit::app::flown_poses
