@@ -100,6 +100,8 @@ BusAids::Refusal BusAids::time_of(const link::AutopilotInput& input, const Chose
 
 BusAids::Refusal BusAids::measured(const link::AutopilotInput& input, hal::AidKind kind, hal::AidSample* s) {
   s->value = {};
+  s->velocity = {};
+  s->velocity_sigma = 0;
   if (kind == hal::AidKind::kSatellites) return place(input, s);
   if (kind == hal::AidKind::kAttitude) {
     const double length =
@@ -146,6 +148,8 @@ BusAids::Refusal BusAids::place(const link::AutopilotInput& input, hal::AidSampl
       std::remainder(v[1] - longitude0_, 360.0) * kRadian * kEarthRadiusM * std::cos(latitude0_ * kRadian);
   const double north = (v[0] - latitude0_) * kRadian * kEarthRadiusM;
   s->value = {east, north, v[2] - height0_};
+  s->velocity = {v[6], v[7]};
+  s->velocity_sigma = v[8];
   return {};
 }
 

@@ -58,6 +58,24 @@ void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matr
   }
 }
 
+void PoseSampler::tell_north(const FrameRecord& record, link::PoseSample* s) {
+  if (!record.metric || !record.earth.known) return;
+  // From "from east towards north" to "clockwise from north".
+  const double heading = M_PI / 2 - record.earth.heading;
+  const double turned = std::abs(std::remainder(heading - heading_, 2 * M_PI));
+  const double moved = turned * std::hypot(record.t_world_cam[0], record.t_world_cam[1]);
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s->covariance.data());
+  if (!north_told_ || moved > std::max(3 * sigma_of(C, 0), kJumpPosition) ||
+      turned > std::max(3 * sigma_of(C, 3), kJumpAngle))
+    ++jumps_;
+  north_told_ = true;
+  heading_ = heading;
+  s->heading_known = true;
+  s->heading_rad = heading;
+  s->heading_variance = record.earth.heading_sigma * record.earth.heading_sigma;
+  s->reset_counter = jumps_;
+}
+
 link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   link::PoseSample s;
   s.t_capture_ns = record.t_capture_ns;
@@ -93,6 +111,7 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(s.covariance.data()) = covariance;
   if (record.metric) {
     s.has_scale = s.has_gravity = s.has_velocity = true;
+    tell_north(record, &s);
     s.trust = record.trust;
     s.velocity = record.velocity;
     const auto& c = record.velocity_covariance;

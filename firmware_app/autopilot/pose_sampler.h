@@ -32,12 +32,14 @@ class PoseSampler {
   /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
   /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts; metric records
   /// stand in a navigation frame that goes on through new maps, and its number takes that id's place. Less trust than 1
-  /// makes their sigmas larger, 1 / trust times.
+  /// makes their sigmas larger, 1 / trust times. Where north has become known that is a jump, and so is a turn of it by
+  /// more than those.
   link::PoseSample sample(const FrameRecord& record);
 
  private:
   /// From the record's world to the link's: a metric record has the link's already.
   Eigen::Matrix3d world_of(const FrameRecord& record) const;
+  void tell_north(const FrameRecord& record, link::PoseSample* sample);
   void follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance);
 
   const Eigen::Matrix3d R_world_map_;
@@ -47,6 +49,8 @@ class PoseSampler {
   Eigen::Quaterniond last_q_{1, 0, 0, 0};  // camera to world
   std::uint32_t map_id_ = 0;
   std::uint8_t jumps_ = 0;
+  bool north_told_ = false;
+  double heading_ = 0;  ///< told last [rad]
 };
 
 }  // namespace godwit::app

@@ -1,5 +1,6 @@
 #include "firmware_app/commands/camera_run.h"
 
+#include <cmath>
 #include <fmt/format.h>
 
 #include "firmware_app/autopilot/link_runner.h"
@@ -115,6 +116,10 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
         "scale {} IMU: known to {:.1f} %, by range {:.0f} %, baro {:.0f} %, gnss {:.0f} %, starting height {:.0f} %\n",
         inertial ? "beside the" : "without an", 100 * s.aided_log_sigma, 100 * s.aid_share[0], 100 * s.aid_share[1],
         100 * s.aid_share[2], 100 * s.aid_share[3]);
+  }
+  if (s.earth.known) {
+    fmt::print("north by satellites: the frame's x axis heads {:.1f} degrees from north, sigma {:.1f}\n",
+               std::fmod(450 - s.earth.heading * 180 / M_PI, 360.0), s.earth.heading_sigma * 180 / M_PI);
   }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,

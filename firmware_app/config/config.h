@@ -135,11 +135,12 @@ struct Config {
     bool between_pictures = false;  ///< at that rate and for the newest reading's time, whatever the camera's
     int system_id = 0;              ///< 0: the autopilot's
     Arming arming = Arming::kAllowWithoutPose;
-    std::vector<double> T_body_cam;  ///< 4 x 4 by rows; empty: the calibration's, or else looking ahead
-    double world_heading_deg = 0;    ///< of the body's front when the map begins
-    std::vector<double> origin;      ///< latitude, longitude [degree], height [m]; empty: none
-    bool bench_metric = false;       ///< replay only: lengths of the map pass for metres, its start for level
-    std::string state_folder;        ///< parameters and reset counter are kept there; empty: nowhere
+    std::vector<double> T_body_cam;   ///< 4 x 4 by rows; empty: the calibration's, or else looking ahead
+    double world_heading_deg = 0;     ///< of the body's front when the map begins
+    bool north_by_satellites = true;  ///< the frame points north once they showed where that is
+    std::vector<double> origin;       ///< latitude, longitude [degree], height [m]; empty: none
+    bool bench_metric = false;        ///< replay only: lengths of the map pass for metres, its start for level
+    std::string state_folder;         ///< parameters and reset counter are kept there; empty: nowhere
   } link;
 
   /// What godwitd writes down of each flight (output/flight_log.h).

@@ -118,6 +118,7 @@ void add_link(Config* c, std::vector<Key>* to) {
                &c->link.arming),
            keys::number_list("link.T_body_cam", 16, -100, 100, &c->link.T_body_cam),
            keys::number("link.world_heading_deg", -360, 360, "degree", &c->link.world_heading_deg),
+           keys::flag("link.north_by_satellites", &c->link.north_by_satellites),
            keys::number_list("link.origin", 3, -20000, 20000, &c->link.origin),
            keys::flag("link.bench_metric", &c->link.bench_metric),
            keys::text("link.state_folder", kLongestPath, "a folder", &c->link.state_folder),

@@ -57,6 +57,7 @@ link::LinkSettings link_settings(const Config& config, const std::optional<std::
     odometry.t_body_cam = T.topRightCorner<3, 1>();
   }
   odometry.world_heading_rad = config.link.world_heading_deg * M_PI / 180;
+  odometry.north = config.link.north_by_satellites;
   odometry.bench_metric = config.link.bench_metric;
   odometry.inertial = config.imu.flown_by();
   s.link.imu_required = config.imu.flown_by();

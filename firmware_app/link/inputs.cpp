@@ -93,8 +93,18 @@ bool fill(const mavlink::RawMessage& raw, AutopilotInput* out) {
       const auto m = read<GpsRawInt>(raw);
       out->kind = InputKind::kSatellites;
       out->t_source_us = m.time_usec < kDateUs ? m.time_usec : 0;
-      out->value = {
-          m.lat * 1e-7, m.lon * 1e-7, m.alt * kMilli, double(m.fix_type), m.h_acc * kMilli, m.v_acc * kMilli, 0};
+      constexpr std::uint16_t kNotTold = 65535;
+      const bool moves = m.vel != kNotTold && m.cog != kNotTold && m.vel_acc != 0;
+      const double speed = moves ? m.vel * 0.01 : 0, course = moves ? m.cog * 0.01 * M_PI / 180 : 0;
+      out->value = {m.lat * 1e-7,
+                    m.lon * 1e-7,
+                    m.alt * kMilli,
+                    double(m.fix_type),
+                    m.h_acc * kMilli,
+                    m.v_acc * kMilli,
+                    speed * std::sin(course),
+                    speed * std::cos(course),
+                    moves ? m.vel_acc * kMilli : 0};
       return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
     }
     default:
@@ -109,21 +119,22 @@ double looks(const dronecan::RangeMeasurement& m) {
   return m.roll_pitch_yaw[1] >= -7 && m.roll_pitch_yaw[1] <= -5 ? kLooksDown : kLooksElsewhere;
 }
 
-/// The larger of the sigmas of a place, level and up, from a covariance of 6 (position, velocity): its diagonal alone,
-/// its upper triangle, or the whole. 0: not told.
-std::array<double, 2> fix_sigmas(const dronecan::GnssFix2& m) {
-  std::array<std::size_t, 3> at{};
+/// The larger of the sigmas of a place, level and up, and of a level velocity, from a covariance of 6 (position,
+/// velocity): its diagonal alone, its upper triangle, or the whole. 0: not told.
+std::array<double, 3> fix_sigmas(const dronecan::GnssFix2& m) {
+  std::array<std::size_t, 5> at{};
   if (m.covariance.size == 6) {
-    at = {0, 1, 2};
+    at = {0, 1, 2, 3, 4};
   } else if (m.covariance.size == 21) {
-    at = {0, 6, 11};
+    at = {0, 6, 11, 15, 18};
   } else if (m.covariance.size == 36) {
-    at = {0, 7, 14};
+    at = {0, 7, 14, 21, 28};
   } else {
-    return {kUnknown, kUnknown};
+    return {kUnknown, kUnknown, kUnknown};
   }
   const auto variance = [&](std::size_t i) { return std::max(0.0, double(m.covariance.item[at[i]])); };
-  return {std::sqrt(std::max(variance(0), variance(1))), std::sqrt(variance(2))};
+  return {std::sqrt(std::max(variance(0), variance(1))), std::sqrt(variance(2)),
+          std::sqrt(std::max(variance(3), variance(4)))};
 }
 
 template <typename Message>
@@ -154,7 +165,7 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
       GnssFix2 m;
       if (!read(transfer, &m)) return false;
       out->kind = InputKind::kSatellites;
-      const std::array<double, 2> sigma = fix_sigmas(m);
+      const std::array<double, 3> sigma = fix_sigmas(m);
       const double fix = m.status == GnssFix2::k3dFix ? kFix3d : 0;
       out->value = {static_cast<double>(m.latitude_deg_1e8) * 1e-8,
                     static_cast<double>(m.longitude_deg_1e8) * 1e-8,
@@ -162,7 +173,9 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
                     fix,
                     sigma[0],
                     sigma[1],
-                    0};
+                    m.ned_velocity[1],
+                    m.ned_velocity[0],
+                    sigma[2]};
       return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
     }
     case dronecan::RawImu::kType.id: {

@@ -20,9 +20,11 @@ enum class InputKind : std::uint8_t {
   kLocalPosition,   ///< value: position NED [m], velocity NED [m/s]
   kGlobalPosition,  ///< value: latitude, longitude [degree], altitude, height above home [m], velocity NED [m/s]
   kPressure,        ///< value: pressure [Pa], variance [Pa^2], 0: not told
-  kSatellites,  ///< a receiver's own: latitude, longitude [degree], height [m], fix as in MAVLink, sigma level, up [m]
-  kArmed,       ///< value: 0 or 1
-  kBusTime      ///< value: none; t_source_us: time of the bus master's previous GlobalTimeSync
+  /// A receiver's own: latitude, longitude [degree], height [m], fix as in MAVLink, sigma level, up [m]; velocity east,
+  /// north [m/s], and the sigma of both, 0: not told.
+  kSatellites,
+  kArmed,   ///< value: 0 or 1
+  kBusTime  ///< value: none; t_source_us: time of the bus master's previous GlobalTimeSync
 };
 
 /// Orientations of a rangefinder.
@@ -38,7 +40,7 @@ struct AutopilotInput {
   rt::TimeNs t_arrival_ns = 0;    ///< CLOCK_MONOTONIC
   std::uint64_t t_source_us = 0;  ///< the source's own clock, 0: not given
   rt::TimeNs t_measured_ns = 0;   ///< t_source on our clock by TIMESYNC, 0: not known
-  std::array<double, 7> value{};
+  std::array<double, 9> value{};
 };
 
 using InputRing = rt::SpscRing<AutopilotInput, 512>;

@@ -25,9 +25,16 @@ bool finite(const Array& values) {
   return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
 }
 
+bool points_north(const PoseSample& s, const OdometryConfig& config) {
+  return config.north && s.heading_known && s.has_gravity && std::isfinite(s.heading_rad) &&
+         std::isfinite(s.heading_variance) && s.heading_variance >= 0;
+}
+
 // World (z up) to the profile's local frame (z down).
-Eigen::Matrix3d local_from_world(const OdometryConfig& config) {
+Eigen::Matrix3d local_from_world(const PoseSample& s, const OdometryConfig& config) {
   Eigen::Matrix3d frd = Eigen::Vector3d(1, -1, -1).asDiagonal();
+  if (points_north(s, config))
+    return Eigen::AngleAxisd(s.heading_rad, Eigen::Vector3d::UnitZ()).toRotationMatrix() * frd;
   if (config.profile == Profile::kArdupilot) return frd;
   return Eigen::AngleAxisd(config.world_heading_rad, Eigen::Vector3d::UnitZ()).toRotationMatrix() * frd;
 }
@@ -89,7 +96,7 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
       Eigen::Quaterniond(s.orientation[0], s.orientation[1], s.orientation[2], s.orientation[3])
           .normalized()
           .toRotationMatrix();
-  const Eigen::Matrix3d L = local_from_world(config);
+  const Eigen::Matrix3d L = local_from_world(s, config);
   const Eigen::Matrix3d R_world_body = R_world_cam * config.R_body_cam.transpose();
   const Eigen::Matrix3d R_local_body = L * R_world_body;
   // The body's origin seen from the camera, along world axes. A map without scale (bench_metric) is in units of its
@@ -109,7 +116,13 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
   J.topRightCorner<3, 3>() = -L * skew(arm);
   J.bottomRightCorner<3, 3>() = L;
   const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s.covariance.data());
-  const Eigen::Matrix<double, 6, 6> rotated = J * C * J.transpose();
+  Eigen::Matrix<double, 6, 6> rotated = J * C * J.transpose();
+  if (points_north(s, config)) {
+    // What north is off by turns all of it about the origin.
+    Eigen::Matrix<double, 6, 1> turned;
+    turned << Eigen::Vector3d::UnitZ().cross(L * (Eigen::Vector3d(s.position.data()) + arm)), Eigen::Vector3d::UnitZ();
+    rotated += s.heading_variance * turned * turned.transpose();
+  }
   if (out.metric) {
     out.quality = pose_quality(s);
     out.position = L * (Eigen::Vector3d(s.position.data()) + arm);

@@ -25,6 +25,8 @@ struct OdometryConfig {
   Eigen::Vector3d t_body_cam = Eigen::Vector3d::Zero();
   /// Heading of the world's x axis, clockwise from north [rad]; for the px4 profile, whose frame points north.
   double world_heading_rad = 0;
+  /// Where a sample knows its heading the frame points north, whatever the profile and the one above.
+  bool north = true;
   bool inertial = false;  ///< an IMU takes part: estimator type VIO instead of VISION
   /// Replay only: take scale and gravity as known. Where the scale is not, t_body_cam is left out: it is in metres.
   bool bench_metric = false;

@@ -27,6 +27,10 @@ struct PoseSample {
   std::uint32_t map_id = 0;        ///< poses of one number stand in one frame; another one is a reset
   std::uint16_t measurements = 0;  ///< image measurements that updated this pose
   double trust = 1;                ///< 0 to 1: whether what measures it agrees over time
+  /// Of the world's x axis, clockwise from north [rad]; the pose and its covariance are along the world's axes all the
+  /// same.
+  bool heading_known = false;
+  double heading_rad = 0, heading_variance = 0;
 
   std::array<double, 3> position{};               ///< of the camera in the world [m]
   std::array<double, 4> orientation{1, 0, 0, 0};  ///< w x y z, camera to world

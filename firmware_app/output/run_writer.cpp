@@ -58,7 +58,7 @@ std::string poses_header() {
   for (const char* what : {"gyro_bias", "accel_bias", "mounting"}) {
     for (const char axis : {'x', 'y', 'z'}) h += fmt::format(",{}_{}", what, axis);
   }
-  return h + ",time_offset\n";
+  return h + ",time_offset,earth_heading,earth_heading_sigma,earth_x,earth_y,earth_z,earth_place_sigma\n";
 }
 
 /// What the mapper did before this frame was done; nothing where it did nothing.
@@ -119,6 +119,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     }
     ++tracked_;
     inertial_ = r.inertial;
+    if (r.earth.known) earth_ = r.earth;
     maps_ = std::max(maps_, r.map_id);
     ms_.push_back(ms);
     thread_cpu_ms_.push_back(thread_cpu_ms);
@@ -186,6 +187,13 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     } else {
       line_.append(20, ',');
     }
+    if (r.metric && r.earth.known) {
+      append(std::array{r.earth.heading, r.earth.heading_sigma});
+      append(r.earth.origin_m);
+      append(std::array{r.earth.place_sigma_m});
+    } else {
+      line_.append(6, ',');
+    }
     line_ += "\n";
     written = poses_.write(line_);
   }
@@ -216,6 +224,7 @@ RunSummary RunWriter::summary() const {
   s.age_ms = statistics_of(age_ms_);
   s.aided_log_sigma = inertial_.aided_log_sigma;
   s.aid_share = inertial_.aid_share;
+  s.earth = earth_;
   if (counters_.due > 1 && last_t_ns_ > first_t_ns_) {
     // n pictures span n - 1 intervals.
     s.pictures_hz = static_cast<double>(counters_.due - 1) / rt::to_seconds(last_t_ns_ - first_t_ns_);

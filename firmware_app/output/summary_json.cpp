@@ -114,6 +114,12 @@ std::string summary_json(const RunDescription& d, const RunSummary& s, const Pip
     constexpr std::array<const char*, vo::kScaleSources> kNames = {"range", "baro", "gnss", "starting_height"};
     for (std::size_t i = 0; i < s.aid_share.size(); ++i) j["aids"][kNames[i]] = fine(s.aid_share[i]);
   }
+  if (s.earth.known) {
+    j["earth"] = {{"heading_deg", fine(s.earth.heading * 180 / M_PI)},
+                  {"heading_sigma_deg", fine(s.earth.heading_sigma * 180 / M_PI)},
+                  {"origin_m", s.earth.origin_m},
+                  {"place_sigma_m", fine(s.earth.place_sigma_m)}};
+  }
   j["records_lost"] = pipeline.records_lost;
   j["threads"] = Json::array();
   for (const ThreadReport& t : pipeline.threads) j["threads"].push_back(of(t));

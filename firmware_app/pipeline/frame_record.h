@@ -88,6 +88,15 @@ struct InertialRecord {
   std::array<double, vo::kScaleSources> aid_share{};  ///< of that, by vo::ScaleSource; together 1, or 0
 };
 
+/// How the navigation frame lies on the earth, as satellites told while they lasted (vo_core/inertial/georeference.h).
+struct EarthRecord {
+  bool known = false;  ///< the rest means something
+  /// Of the frame's x axis, from east towards north [rad].
+  double heading = 0, heading_sigma = 0;
+  std::array<double, 3> origin_m{};  ///< of the frame in the receiver's local frame (east, north, up)
+  double place_sigma_m = 0;          ///< an axis, of where the receiver's frame has the camera
+};
+
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
 struct FrameRecord {
   std::uint32_t sequence = 0;
@@ -135,6 +144,7 @@ struct FrameRecord {
   std::array<double, 3> velocity{};             ///< of the camera along the frame's axes [m/s]
   std::array<double, 6> velocity_covariance{};  ///< upper triangle by rows
   InertialRecord inertial;
+  EarthRecord earth;                 ///< metric
   vo::Motion motion;                 ///< metric: of the body, for whoever goes on from it until the next picture
   double median_depth = 0;           ///< of the points behind the pose [map units]
   const char* keyframe_reason = "";  ///< static text: why the frame should become a keyframe

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "firmware_app/pipeline/aided_poses.h"
+#include "firmware_app/pipeline/earth_poses.h"
 #include "firmware_app/pipeline/inertial_poses.h"
 #include "firmware_app/pipeline/mask_exchange.h"
 #include "hal/rt/spsc_ring.h"
@@ -82,6 +83,7 @@ class OdometryStage final : public FrameStage {
     take_mapping(&record->mapping);
     if (inertial_ != nullptr) inertial_->make_metric(result, frame.meta.t_capture_ns, record);
     if (aided_ != nullptr) aided_->make_metric(result, frame.meta.t_capture_ns, record);
+    earth_.tell(record);
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
@@ -95,6 +97,7 @@ class OdometryStage final : public FrameStage {
   void take_aid(const hal::AidSample& sample) override {
     if (inertial_ != nullptr) inertial_->take(sample);
     if (aided_ != nullptr) aided_->take(sample);
+    earth_.take(sample);
   }
 
   void limit_features(double share) override { feature_share_ = share; }
@@ -236,6 +239,7 @@ class OdometryStage final : public FrameStage {
   const bool gyro_helps_;
   std::unique_ptr<InertialPoses> inertial_;  ///< null: no inertial sensor is flown by
   std::unique_ptr<AidedPoses> aided_;        ///< null: that one is, or nobody else's attitude is used
+  EarthPoses earth_;
   double feature_share_ = 1.0;
   FlownOrder order_;  ///< of the last frame, and the readings since
 };

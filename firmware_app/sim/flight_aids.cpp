@@ -26,7 +26,10 @@ hal::AidRecord aid_record_of(const sim::Flight& flight, const std::vector<hal::A
   if (const auto gnss = flight.gnss(0); gnss && wanted(hal::AidKind::kSatellites)) {
     hal::GnssSample s;
     while (gnss->next(&s, 0) == hal::GnssStatus::kSample) {
-      if (s.fix) all.push_back({hal::AidKind::kSatellites, s.t_ns, s.position_m, s.sigma_position_m});
+      const std::array<double, 2> level = {s.velocity_m_s[0], s.velocity_m_s[1]};
+      if (s.fix)
+        all.push_back(
+            {hal::AidKind::kSatellites, s.t_ns, s.position_m, s.sigma_position_m, level, hal::kSatelliteVelocitySigma});
     }
   }
   if (wanted(hal::AidKind::kAttitude)) {

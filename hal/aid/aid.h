@@ -28,6 +28,8 @@ constexpr double kLeastPressurePa = 22632, kMostPressurePa = 120000;
 /// One sigma of a rangefinder's distance and of a height by pressure, where the source does not say it [m]. A lidar's
 /// data sheet; MS5611 at its highest oversampling is 0.1 m.
 constexpr double kRangeSigmaM = 0.05, kPressureSigmaM = 0.15;
+/// The same of a receiver's velocity [m/s]: the data sheet of a u-blox NEO-M8 says 0.05, of half of all.
+constexpr double kSatelliteVelocitySigma = 0.1;
 /// The same of an autopilot's roll and pitch [rad]: it takes what its accelerometer feels for gravity, and one of the
 /// MPU-6000's grade has a bias of up to 0.15 m/s^2 (euroc_mh01's has): 0.9 degrees, which no mean takes away.
 constexpr double kAttitudeSigmaRad = 0.0175;
@@ -42,11 +44,14 @@ inline std::array<double, 3> up_of_attitude(const std::array<double, 4>& q) {
 struct AidSample {
   AidKind kind = AidKind::kRange;
   rt::TimeNs t_ns = 0;
-  /// Satellites: place in a local frame with z up whose origin the source keeps. Barometer: z, height by the pressure
-  /// of the standard atmosphere. Rangefinder: z, distance along its beam. [m] Attitude: against gravity along the
-  /// body's axes, unit length.
+  /// Satellites: place in a local frame (east, north, up) whose origin the source keeps. Barometer: z, height by the
+  /// pressure of the standard atmosphere. Rangefinder: z, distance along its beam. [m] Attitude: against gravity along
+  /// the body's axes, unit length.
   std::array<double, 3> value{};
   double sigma = 0;  ///< one sigma of each axis [m]; attitude: [rad], shared by neighbours
+  /// Satellites: velocity along the frame's x and y, and one sigma of each [m/s]; 0: not told.
+  std::array<double, 2> velocity{};
+  double velocity_sigma = 0;
 };
 
 /// What has come, without waiting. One thread calls it. No allocation, no lock.

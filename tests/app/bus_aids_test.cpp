@@ -220,6 +220,12 @@ TEST(BusAids, AFixIsAPlaceInAFrameOfItsOwnWhereItIsSureEnough) {
   EXPECT_NEAR(b.sample.value[1], 111.2, 0.4);
   EXPECT_NEAR(b.sample.value[0], 15.2, 0.1) << "across the date line";
   EXPECT_NEAR(b.sample.value[2], 10, 1e-9);
+  EXPECT_EQ(b.sample.velocity_sigma, 0);
+  AutopilotInput moving = b.fix(1400 * kMs, 47.001, -179.9999, 410);
+  moving.value[6] = 3, moving.value[7] = -4, moving.value[8] = 0.2;
+  ASSERT_TRUE(b.give(moving));
+  EXPECT_EQ(b.sample.velocity, (std::array<double, 2>{3, -4})) << "east, north";
+  EXPECT_EQ(b.sample.velocity_sigma, 0.2);
 }
 
 TEST(BusAids, WhatIsSwitchedOffIsNotHeard) {

@@ -105,6 +105,29 @@ TEST(PoseSampler, AMetricRecordIsPassedOnAsItIs) {
   EXPECT_FALSE(sampler.sample(record_at(1, cruise(0.3))).has_scale);
 }
 
+TEST(PoseSampler, NorthIsToldAsAJumpOnceAndWhereItTurnsFar) {
+  PoseSampler sampler(world_of_level_start(mounting()));
+  const auto at = [&](int frame, double heading, bool known = true) {
+    FrameRecord r = record_at(frame, {Mat3::Identity(), Vec3(20, 0, 5)});
+    r.metric = true;
+    r.frame_id = 1;
+    r.earth.known = known;
+    r.earth.heading = heading;
+    r.earth.heading_sigma = 0.002;
+    return sampler.sample(r);
+  };
+  const link::PoseSample unknown = at(0, 0, false);
+  EXPECT_FALSE(unknown.heading_known);
+  const link::PoseSample first = at(1, M_PI);
+  EXPECT_TRUE(first.heading_known);
+  EXPECT_NEAR(std::remainder(first.heading_rad + M_PI / 2, 2 * M_PI), 0, 1e-12) << "x axis westwards";
+  EXPECT_EQ(first.reset_counter, unknown.reset_counter + 1);
+  EXPECT_EQ(at(2, M_PI + 1e-3).reset_counter, first.reset_counter) << "20 mm";
+  EXPECT_EQ(at(3, M_PI + 1e-3 - 2 * M_PI).reset_counter, first.reset_counter) << "the same heading";
+  EXPECT_EQ(at(4, M_PI + 0.02).reset_counter, first.reset_counter + 1) << "0.4 m";
+  EXPECT_EQ(at(5, M_PI + 0.02).reset_counter, first.reset_counter + 1);
+}
+
 TEST(PoseSampler, WhereVisionAndInertialSensorDisagreeTheSigmasToldGrow) {
   PoseSampler sampler(world_of_level_start(mounting()));
   FrameRecord r = record_at(0, cruise(0.3));

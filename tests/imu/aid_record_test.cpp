@@ -18,11 +18,13 @@ TEST(AidRecord, ReadsWhatTheSimulatorWrites) {
   EXPECT_EQ(range.value()[0].t_ns, 1050000000);
   EXPECT_EQ(range.value()[0].value[2], 15.0);
   const auto gnss = parse_aid(AidKind::kSatellites,
-                              "t,fix,x,y,z,vx,vy,vz,sigma_m\n1,1,2,3,4,0,0,0,0.6\n2,0,0,0,0,0,0,0,0\n", "gnss.csv");
+                              "t,fix,x,y,z,vx,vy,vz,sigma_m\n1,1,2,3,4,5,6,7,0.6\n2,0,0,0,0,0,0,0,0\n", "gnss.csv");
   ASSERT_TRUE(gnss.ok()) << gnss.error().message;
   ASSERT_EQ(gnss.value().size(), 1u) << "no fix, no reading";
   EXPECT_EQ(gnss.value()[0].value, (std::array<double, 3>{2, 3, 4}));
   EXPECT_EQ(gnss.value()[0].sigma, 0.6);
+  EXPECT_EQ(gnss.value()[0].velocity, (std::array<double, 2>{5, 6}));
+  EXPECT_EQ(gnss.value()[0].velocity_sigma, kSatelliteVelocitySigma);
   // The standard atmosphere: 89874.6 Pa at 1000 m.
   // Yawed by a right angle and then nose up by 0.2.
   const auto attitude = parse_aid(

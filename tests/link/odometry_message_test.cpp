@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <gtest/gtest.h>
+#include <limits>
 #include <random>
 
 #include "tests/vo_core/numeric_jacobian.h"
@@ -122,6 +123,46 @@ TEST(BodyPose, CovarianceFollowsTheNumericJacobian) {
     const double turned = base.covariance.diagonal().tail<3>().sum(), given = C.diagonal().tail<3>().sum();
     EXPECT_NEAR(turned, given, 1e-9);
   }
+}
+
+// Along the world's x axis and nose up; the world's x axis heads for 120 degrees.
+TEST(BodyPose, WhereNorthIsKnownTheFramePointsThereInBothProfiles) {
+  PoseSample s;
+  s.state = PoseState::kTracking;
+  s.has_scale = s.has_gravity = true;
+  s.position = {10, 0, 2};
+  s.velocity = {3, 0, 0};
+  OdometryConfig config;
+  const Eigen::Matrix3d R_world_body = exp_so3({0, -0.2, 0}) * Eigen::Vector3d(1, -1, -1).asDiagonal();
+  set_rotation(&s, R_world_body * config.R_body_cam);
+  const BodyPose plain = body_pose(s, config);
+  EXPECT_NEAR(plain.position.x(), 10, 1e-12);
+  s.heading_known = true;
+  s.heading_rad = 120 * M_PI / 180;
+  s.heading_variance = 0.01;
+  for (const Profile profile : {Profile::kArdupilot, Profile::kPx4}) {
+    config.profile = profile;
+    config.world_heading_rad = 1;
+    const BodyPose out = body_pose(s, config);
+    EXPECT_NEAR(out.position.x(), -5, 1e-9);
+    EXPECT_NEAR(out.position.y(), 5 * std::sqrt(3), 1e-9) << "eastwards";
+    EXPECT_NEAR(out.position.z(), -2, 1e-9);
+    EXPECT_LT((out.velocity - plain.velocity).norm(), 1e-9) << "along the body's axes: nobody turned it";
+    const Eigen::Vector3d nose = rotation_of(out.q).col(0);
+    EXPECT_NEAR(std::atan2(nose.y(), nose.x()), s.heading_rad, 1e-9);
+    // Off by 0.1 rad about a place 10 m away: 1 m across, and nothing along.
+    const Eigen::Vector3d along = out.position.normalized(), across(-std::sqrt(3) / 2, -0.5, 0);
+    EXPECT_NEAR(across.dot(out.covariance.topLeftCorner<3, 3>() * across), 1, 1e-3);
+    EXPECT_LT(along.dot(out.covariance.topLeftCorner<3, 3>() * along), 1e-6);
+    EXPECT_NEAR(out.covariance(5, 5), 0.01, 1e-6);
+    EXPECT_LT(out.quality, plain.quality);
+  }
+  config.profile = Profile::kArdupilot;
+  config.north = false;
+  EXPECT_LT((body_pose(s, config).position - plain.position).norm(), 1e-12);
+  config.north = true;
+  s.heading_rad = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_LT((body_pose(s, config).position - plain.position).norm(), 1e-12) << "no number, no north";
 }
 
 // Velocity of the body's origin against the difference quotient of its position.

@@ -275,6 +275,8 @@ TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
   fix.fix_type = 3;
   fix.h_acc = 800;
   fix.v_acc = 1200;
+  fix.vel = 500;
+  fix.cog = 9000;
   fix.time_usec = 12345;
   ASSERT_TRUE(give(fix));
   EXPECT_EQ(input.kind, InputKind::kSatellites);
@@ -284,6 +286,15 @@ TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
   EXPECT_EQ(input.value[3], kFix3d);
   EXPECT_NEAR(input.value[4], 0.8, 1e-9);
   EXPECT_NEAR(input.value[5], 1.2, 1e-9);
+  EXPECT_EQ(input.value[8], 0) << "who does not say how sure his velocity is tells none";
+  fix.vel_acc = 70;
+  ASSERT_TRUE(give(fix));
+  EXPECT_NEAR(input.value[6], 5, 1e-9) << "eastwards";
+  EXPECT_NEAR(input.value[7], 0, 1e-9);
+  EXPECT_NEAR(input.value[8], 0.07, 1e-9);
+  fix.cog = 65535;
+  ASSERT_TRUE(give(fix));
+  EXPECT_EQ(input.value[8], 0) << "a course that is not known";
   fix.time_usec = 1'700'000'000'000'000;
   ASSERT_TRUE(give(fix));
   EXPECT_EQ(input.t_source_us, 0U) << "a date is no time since boot";
@@ -302,6 +313,9 @@ TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
   EXPECT_EQ(input.value[3], kFix3d);
   EXPECT_NEAR(input.value[4], std::sqrt(0.5), 1e-6);
   EXPECT_NEAR(input.value[5], 1, 1e-6);
+  EXPECT_NEAR(input.value[6], -2.5, 1e-6) << "eastwards";
+  EXPECT_NEAR(input.value[7], 1.5, 1e-6);
+  EXPECT_GT(input.value[8], 0);
   // Cut anywhere: refused, or no place.
   for (std::size_t size = 0; size < 50; ++size) {
     const dronecan::Transfer cut{

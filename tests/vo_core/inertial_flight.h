@@ -32,8 +32,14 @@ class Flight {
     return so3_exp(a * Vec3(0.3 * std::sin(1.7 * t), 0.4 * std::sin(1.1 * t + 1), 0.6 * std::sin(0.7 * t)));
   }
   Vec3 p(double t) const {
+    const double after = std::max(0.0, t - stops_at_);
+    // From standstill to so fast within two seconds, without a jerk at either end.
+    const double x = std::min(after, 2.0) / 2, begun = 2 * (x * x * x - x * x * x * x / 2) + std::max(0.0, after - 2);
+    const Vec3 sway(std::sin(0.9 * after), std::sin(1.3 * after + 1) - std::sin(1.0), std::sin(0.7 * after));
+    const double begins = x * x * x * (10 - 15 * x + 6 * x * x);
+    const Vec3 later = begun * cruises_ * Vec3(0.8, 0.6, 0) + begins * sways_ * sway;
     t = moved_until(t);
-    return amplitude_ * Vec3(0.4 * std::sin(1.9 * t), 0.3 * std::cos(2.3 * t), 0.2 * std::sin(1.5 * t + 2));
+    return later + amplitude_ * Vec3(0.4 * std::sin(1.9 * t), 0.3 * std::cos(2.3 * t), 0.2 * std::sin(1.5 * t + 2));
   }
   /// Until rests_until_ it has not begun, and takes a second to; after stops_at_ it comes to rest within a second.
   double moved_until(double t) const {
@@ -57,7 +63,15 @@ class Flight {
     drift_ = 0.95 * drift_ + root * model_.position_walk * random();
     turn_ = 0.95 * turn_ + root * model_.rotation_walk * random();
     n.sight.R_map_cam = so3_exp(turn_) * R_map_world_ * R(t) * mounting_.R_body_cam;
-    n.sight.camera = R_map_world_ * (p(t) + R(t) * mounting_.t_body_cam_m) / scale_ + drift_;
+    const Vec3 camera = p(t) + R(t) * mounting_.t_body_cam_m;
+    // As new things come into view a map's unit becomes another one.
+    if (scale_walks_ > 0 && k > 0) {
+      const double walked = t > stops_at_ ? 1 : 0;
+      strayed_scale_ += walked * root * scale_walks_ * random().x();
+      strayed_ += R_map_world_ * (camera - last_camera_) / scale_ * (std::exp(-strayed_scale_) - 1);
+    }
+    last_camera_ = camera;
+    n.sight.camera = R_map_world_ * camera / scale_ + drift_ + strayed_;
     n.since_last = Preintegration(guess);
     for (int i = 0; i < 10 && k > 0; ++i) {
       const double m = t - 1 / 20.0 + (i + 0.5) / 200;
@@ -93,6 +107,10 @@ class Flight {
   static constexpr double kStep = 1e-4;
   double amplitude_, scale_ = 2.5;
   double rests_until_ = 0, stops_at_ = 1e9;  ///< [s]; one of the two
+  double cruises_ = 0;                       ///< after stops_at_ so fast and straight on [m/s]
+  double sways_ = 0;                         ///< or it hovers, and sways by so much [m]
+  double scale_walks_ = 0;                   ///< of the map's scale, as it flies [1/sqrt(s)]
+  double strayed_scale_ = 0;                 ///< by now, of its logarithm
   ImuBias bias_;
   CameraMounting mounting_ = slanted_mounting();
   InertialModel model_ = quiet();
@@ -101,7 +119,7 @@ class Flight {
  private:
   std::mt19937 engine_;
   std::normal_distribution<double> normal_;
-  Vec3 drift_ = Vec3::Zero(), turn_ = Vec3::Zero();
+  Vec3 drift_ = Vec3::Zero(), turn_ = Vec3::Zero(), strayed_ = Vec3::Zero(), last_camera_ = Vec3::Zero();
 };
 
 }  // namespace godwit::vo::test

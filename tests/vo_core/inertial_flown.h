@@ -44,6 +44,12 @@ class Flown {
     pose.map_id = map_id_;
     pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
     pose.covariance = 1e-9 * Mat6::Identity();
+    if (flight_.scale_walks_ > 0) {
+      // New things come into view, and the tracker says how well they are known.
+      pose.relative_age_ns = rt::kNsPerSecond / 2;
+      pose.relative_covariance.diagonal().head<3>().setConstant(0.5 * flight_.scale_walks_ * flight_.scale_walks_);
+      pose.relative_covariance.diagonal().tail<3>().setConstant(1e-9);
+    }
     if (young_) stray(t, &pose);
     if (lean_ != 0) lean(&pose);
     if (creeps_ != 0) creep(k, &pose);

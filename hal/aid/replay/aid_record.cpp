@@ -48,6 +48,8 @@ std::string read_rest(AidKind kind, std::string_view line, AidSample* s, bool* h
       *holds = v[0] != 0;
       s->value = {v[1], v[2], v[3]};
       s->sigma = v[7];
+      s->velocity = {v[4], v[5]};
+      s->velocity_sigma = kSatelliteVelocitySigma;
       if (*holds && !(v[7] > 0)) return "a sigma is above 0 m";
       break;
     case AidKind::kAttitude:
