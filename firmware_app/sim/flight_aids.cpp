@@ -29,7 +29,7 @@ hal::AidRecord aid_record_of(const sim::Flight& flight, const std::vector<hal::A
       const std::array<double, 2> level = {s.velocity_m_s[0], s.velocity_m_s[1]};
       if (s.fix)
         all.push_back(
-            {hal::AidKind::kSatellites, s.t_ns, s.position_m, s.sigma_position_m, level, hal::kSatelliteVelocitySigma});
+            {hal::AidKind::kSatellites, s.t_ns, s.position_m, s.sigma_position_m, level, s.sigma_velocity_m_s});
     }
   }
   if (wanted(hal::AidKind::kAttitude)) {

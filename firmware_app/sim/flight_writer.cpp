@@ -158,12 +158,12 @@ rt::Result<void> write_aids(const sim::Flight& flight, const std::string& out, d
     if (auto r = write_text(out + "/range.csv", text); !r) return r;
   }
   if (const auto gnss = flight.gnss(epoch_ns(epoch_s))) {
-    std::string text = "t,fix,x,y,z,vx,vy,vz,sigma_m\n";
+    std::string text = "t,fix,x,y,z,vx,vy,vz,sigma_m,speed_sigma_m_s\n";
     hal::GnssSample s;
     while (gnss->next(&s, 0) == hal::GnssStatus::kSample) {
       const auto &p = s.position_m, &v = s.velocity_m_s;
-      text += fmt::format("{},{},{:.4f},{:.4f},{:.4f},{:.4f},{:.4f},{:.4f},{:.3f}\n", seconds(s.t_ns), s.fix ? 1 : 0,
-                          p[0], p[1], p[2], v[0], v[1], v[2], s.sigma_position_m);
+      text += fmt::format("{},{},{:.4f},{:.4f},{:.4f},{:.4f},{:.4f},{:.4f},{:.3f},{:.3f}\n", seconds(s.t_ns),
+                          s.fix ? 1 : 0, p[0], p[1], p[2], v[0], v[1], v[2], s.sigma_position_m, s.sigma_velocity_m_s);
     }
     if (auto r = write_text(out + "/gnss.csv", text); !r) return r;
   }

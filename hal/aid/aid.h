@@ -28,7 +28,8 @@ constexpr double kLeastPressurePa = 22632, kMostPressurePa = 120000;
 /// One sigma of a rangefinder's distance and of a height by pressure, where the source does not say it [m]. A lidar's
 /// data sheet; MS5611 at its highest oversampling is 0.1 m.
 constexpr double kRangeSigmaM = 0.05, kPressureSigmaM = 0.15;
-/// The same of a receiver's velocity [m/s]: the data sheet of a u-blox NEO-M8 says 0.05, of half of all.
+/// The same of a receiver's velocity, where a recording does not say it [m/s]: the data sheet of a u-blox NEO-M8 says
+/// 0.05, of half of all.
 constexpr double kSatelliteVelocitySigma = 0.1;
 /// The same of an autopilot's roll and pitch [rad]: it takes what its accelerometer feels for gravity, and one of the
 /// MPU-6000's grade has a bias of up to 0.15 m/s^2 (euroc_mh01's has): 0.9 degrees, which no mean takes away.

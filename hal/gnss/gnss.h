@@ -13,8 +13,9 @@ struct GnssSample {
   rt::TimeNs t_ns = 0;
   std::array<double, 3> position_m{};
   std::array<double, 3> velocity_m_s{};
-  double sigma_position_m = 0;  ///< one sigma of each axis
-  bool fix = false;             ///< false: no satellites; position and velocity then mean nothing
+  double sigma_position_m = 0;    ///< one sigma of each axis
+  double sigma_velocity_m_s = 0;  ///< the same; 0: not told
+  bool fix = false;               ///< false: no satellites; position and velocity then mean nothing
 };
 
 enum class GnssStatus : std::uint8_t { kSample, kTimeout, kEnd };

@@ -25,6 +25,10 @@ TEST(AidRecord, ReadsWhatTheSimulatorWrites) {
   EXPECT_EQ(gnss.value()[0].sigma, 0.6);
   EXPECT_EQ(gnss.value()[0].velocity, (std::array<double, 2>{5, 6}));
   EXPECT_EQ(gnss.value()[0].velocity_sigma, kSatelliteVelocitySigma);
+  const auto sure = parse_aid(AidKind::kSatellites,
+                              "t,fix,x,y,z,vx,vy,vz,sigma_m,speed_sigma_m_s\n1,1,2,3,4,5,6,7,0.6,0.05\n", "gnss.csv");
+  ASSERT_TRUE(sure.ok()) << sure.error().message;
+  EXPECT_EQ(sure.value()[0].velocity_sigma, 0.05);
   // The standard atmosphere: 89874.6 Pa at 1000 m.
   // Yawed by a right angle and then nose up by 0.2.
   const auto attitude = parse_aid(
@@ -50,6 +54,8 @@ TEST(AidRecord, WhatCannotBeReadIsNamed) {
   EXPECT_THAT(word(AidKind::kRange, "t,range_m,valid\n1,3,1\n1,3,1\n"), HasSubstr("not above the one before"));
   EXPECT_THAT(word(AidKind::kBarometer, "t,pressure_pa\n1,1013.25\n"), HasSubstr("[Pa]")) << "hectopascals";
   EXPECT_THAT(word(AidKind::kSatellites, "t,fix,x,y,z,vx,vy,vz,sigma_m\n1,1,2,3,4,0,0,0,0\n"), HasSubstr("sigma"));
+  EXPECT_THAT(word(AidKind::kSatellites, "t,fix,x,y,z,vx,vy,vz,sigma_m,speed_sigma_m_s\n1,1,2,3,4,0,0,0,1,0\n"),
+              HasSubstr("0 m/s"));
   EXPECT_THAT(word(AidKind::kSatellites, "t,fix,x,y,z,vx,vy,vz,sigma_m\nsoon,1,2,3,4,0,0,0,1\n"),
               HasSubstr("not a time"));
   EXPECT_THAT(word(AidKind::kAttitude, "t,qw,qx,qy,qz\n1,1,1,0,0\n"), HasSubstr("length 1"));

@@ -13,6 +13,8 @@ namespace {
 constexpr std::array<const char*, kAidKinds> kColumns = {"t,range_m,valid", "t,pressure_pa",
                                                          "t,fix,x,y,z,vx,vy,vz,sigma_m", "t,qw,qx,qy,qz"};
 
+constexpr std::string_view kSpeedSigma = ",speed_sigma_m_s";
+
 constexpr double kUnitTolerance = 1e-3;  // four digits will do
 
 /// The next number of a line.
@@ -23,11 +25,13 @@ bool take_number(std::string_view* line, double* value) {
   return read.ec == std::errc() && read.ptr == end && std::isfinite(*value);
 }
 
-/// What is wrong with the rest of a line; empty: nothing. *holds: there is a reading in it.
-std::string read_rest(AidKind kind, std::string_view line, AidSample* s, bool* holds) {
-  std::array<double, 8> v{};
+/// What is wrong with the rest of a line; empty: nothing. *holds: there is a reading in it. speed_sigma: satellites',
+/// with that column.
+std::string read_rest(AidKind kind, bool speed_sigma, std::string_view line, AidSample* s, bool* holds) {
+  std::array<double, 9> v{};
+  v[8] = kSatelliteVelocitySigma;
   constexpr std::array<std::size_t, kAidKinds> kNumbers = {2, 1, 8, 4};
-  const std::size_t n = kNumbers[static_cast<std::size_t>(kind)];
+  const std::size_t n = kNumbers[static_cast<std::size_t>(kind)] + (speed_sigma ? 1 : 0);
   for (std::size_t i = 0; i < n; ++i) {
     if (!take_number(&line, &v[i])) return "number " + std::to_string(i + 2) + " of the line is none";
   }
@@ -49,8 +53,9 @@ std::string read_rest(AidKind kind, std::string_view line, AidSample* s, bool* h
       s->value = {v[1], v[2], v[3]};
       s->sigma = v[7];
       s->velocity = {v[4], v[5]};
-      s->velocity_sigma = kSatelliteVelocitySigma;
+      s->velocity_sigma = v[8];
       if (*holds && !(v[7] > 0)) return "a sigma is above 0 m";
+      if (*holds && !(v[8] > 0)) return "a sigma is above 0 m/s";
       break;
     case AidKind::kAttitude:
       *holds = true;
@@ -71,11 +76,13 @@ const char* aid_columns(AidKind kind) {
 
 rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::string& name, std::string* cut_off) {
   AidRecord record;
-  bool named = false;
+  bool named = false, speed_sigma = false;
   const auto read = for_each_record(text, name, [&](std::string_view line, int /*number*/) -> std::string {
     if (!named) {
       named = true;
       const std::string_view wanted = aid_columns(kind);
+      speed_sigma =
+          kind == AidKind::kSatellites && line.substr(std::min(wanted.size(), line.size())).starts_with(kSpeedSigma);
       return line.substr(0, wanted.size()) == wanted ? std::string() : "the columns begin with " + std::string(wanted);
     }
     AidSample s;
@@ -83,7 +90,7 @@ rt::Result<AidRecord> parse_aid(AidKind kind, std::string_view text, const std::
     const std::string_view time = take_field(&line, ',');
     if (!parse_decimal_seconds(time, &s.t_ns)) return quoted(time) + " is not a time in decimal seconds";
     bool holds = false;
-    std::string reason = read_rest(kind, line, &s, &holds);
+    std::string reason = read_rest(kind, speed_sigma, line, &s, &holds);
     if (!reason.empty()) return reason;
     if (holds && !record.empty() && s.t_ns <= record.back().t_ns) return "a time that is not above the one before";
     if (holds) record.push_back(s);

@@ -14,7 +14,8 @@ namespace godwit::hal {
 /// In the order of their times.
 using AidRecord = std::vector<AidSample>;
 
-/// The columns that a file must begin with (docs/formats.md); its first line names them.
+/// The columns that a file must begin with (docs/formats.md); its first line names them. Satellites': one more may
+/// follow, speed_sigma_m_s, above 0.
 const char* aid_columns(AidKind kind);
 /// Lines without an echo or a fix are left out. Error: names the file, line and reason; a line that cannot be read
 /// refuses the whole file, but the last one of a file that breaks off there: *cut_off says so.

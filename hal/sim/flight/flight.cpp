@@ -125,6 +125,7 @@ hal::GnssStatus SimGnss::next(hal::GnssSample* sample, rt::TimeNs) {
   const GnssPlan& plan = flight_.scenario().gnss;
   const double dt = 1 / plan.rate_hz, t = static_cast<double>(index_++) * dt;
   if (t > flight_.duration_s()) return hal::GnssStatus::kEnd;
+  constexpr double kVelocitySigma = 0.05;  // u-blox NEO-M8, data sheet
   // Errors of satellite positions wander slowly: 30 s here, and the height is twice as bad.
   const double decay = std::exp(-dt / 30), kick = index_ == 1 ? 1 : std::sqrt(1 - decay * decay);
   const BodyState body = flight_.trajectory().at(t);
@@ -133,12 +134,13 @@ hal::GnssStatus SimGnss::next(hal::GnssSample* sample, rt::TimeNs) {
   for (int i = 0; i < 3; ++i) {
     const double sigma = plan.sigma_m * (i == 2 ? 2 : 1);
     wander_[i] = (index_ == 1 ? 0 : decay) * wander_[i] + kick * sigma * rng_.gaussian();
-    const double velocity_noise = 0.05 * rng_.gaussian();
+    const double velocity_noise = kVelocitySigma * rng_.gaussian();
     if (t >= plan.lost_after_s) continue;
     sample->position_m[i] = body.position_m[i] + wander_[i];
     sample->velocity_m_s[i] = body.velocity_m_s[i] + velocity_noise;
   }
   sample->sigma_position_m = plan.sigma_m;
+  sample->sigma_velocity_m_s = kVelocitySigma;
   sample->fix = t < plan.lost_after_s;
   return hal::GnssStatus::kSample;
 }
