@@ -116,6 +116,27 @@ TEST(InertialAlignment, BothFormsFindScaleAndVertical) {
   }
 }
 
+TEST(InertialAlignment, TurnsAboutOtherAxesAreToldFromTurnsThatAreTooSmall) {
+  for (unsigned seed = 1; seed <= 8; ++seed) {
+    for (const double amplitude : {1.0, 1e-6}) {
+      Flight f(amplitude, seed);
+      std::vector<InertialNode> nodes;
+      for (int k = 0; k < 24; ++k) nodes.push_back(f.node(k, {}));
+      const TurnAgreement right = agreement_of_turns(nodes, f.mounting_, {});
+      EXPECT_FALSE(right.about_other_axes()) << seed;
+      EXPECT_LE(right.cosine, right.best + 1e-12) << seed;
+      // As vision would have it if the body's z axis, and with it x, pointed the other way.
+      CameraMounting turned = f.mounting_;
+      turned.R_body_cam = Vec3(-1, 1, -1).asDiagonal() * turned.R_body_cam;
+      const TurnAgreement wrong = agreement_of_turns(nodes, turned, {});
+      EXPECT_NEAR(wrong.best, right.best, 1e-9) << "axes do not matter for that";
+      EXPECT_EQ(wrong.about_other_axes(), amplitude == 1.0) << seed << ": " << wrong.cosine << ", " << wrong.best;
+      EXPECT_GT(right.cosine, amplitude == 1.0 ? 0.995 : -1.0) << seed;
+    }
+  }
+  EXPECT_EQ(agreement_of_turns({}, test::slanted_mounting(), {}).best, 0);
+}
+
 TEST(InertialSmoother, ItsCovarianceHolds) {
   // Scale, vertical and velocity of 60 flights, over windows that have slid: in units of their own sigmas.
   double scale2 = 0, up2 = 0, speed2 = 0, bias2 = 0;

@@ -222,6 +222,34 @@ Vec3 align_gyro_bias(std::span<const InertialNode> nodes, const CameraMounting& 
   return bias;
 }
 
+TurnAgreement agreement_of_turns(std::span<const InertialNode> nodes, const CameraMounting& m, const ImuBias& bias) {
+  const auto by_vision = [&](std::size_t k) { return so3_log(body(nodes[k], m).transpose() * body(nodes[k + 1], m)); };
+  const auto by_gyroscope = [&](std::size_t k) { return so3_log(nodes[k + 1].since_last.dR(bias.gyro)); };
+  Vec3 steady_seen = Vec3::Zero(), steady_felt = Vec3::Zero();
+  double all_s = 0;
+  for (std::size_t k = 0; k + 1 < nodes.size(); ++k) {
+    steady_seen += by_vision(k);
+    steady_felt += by_gyroscope(k);
+    all_s += nodes[k + 1].since_last.dt_s();
+  }
+  if (!(all_s > 0)) return {};
+  Mat3 both = Mat3::Zero();
+  double seen2 = 0, felt2 = 0;
+  for (std::size_t k = 0; k + 1 < nodes.size(); ++k) {
+    const double share = nodes[k + 1].since_last.dt_s() / all_s;
+    const Vec3 seen = by_vision(k) - share * steady_seen, felt = by_gyroscope(k) - share * steady_felt;
+    both += seen * felt.transpose();
+    seen2 += seen.squaredNorm();
+    felt2 += felt.squaredNorm();
+  }
+  const double norms = std::sqrt(seen2 * felt2);
+  if (!(norms > 0)) return {};
+  // The singular values: roots of the eigenvalues of both^T both.
+  Eigen::SelfAdjointEigenSolver<Mat3> eigen;
+  eigen.computeDirect(both.transpose() * both, Eigen::EigenvaluesOnly);
+  return {both.trace() / norms, eigen.eigenvalues().cwiseMax(0).cwiseSqrt().sum() / norms};
+}
+
 Alignment align(std::span<const InertialNode> nodes, const CameraMounting& mounting, const ImuBias& bias,
                 double gravity, AlignmentMethod method, const ScaleHint& hint) {
   if (nodes.size() < 4 || nodes.size() > InertialSmoother::kNodes) return {};

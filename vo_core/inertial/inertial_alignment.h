@@ -37,6 +37,23 @@ struct ScaleHint {
 Vec3 align_gyro_bias(std::span<const InertialNode> nodes, const CameraMounting& mounting, const ImuBias& start,
                      double sigma_rad_s, double turn_sigma_rad);
 
+/// Whether vision and gyroscope turn alike.
+struct TurnAgreement {
+  double cosine = 0;  ///< between both sequences of turns, each stacked into one vector; 0: nothing turned
+  double best = 0;    ///< what it would be if one of them were turned or mirrored as a whole so that it fits best
+  /// Measured: with right axes the cosine was above 0.9995 in 240 windows of euroc_mh01 and simulated flights; an axis
+  /// flipped or two swapped were below 0.95 in most. A mounting that is 5 degrees off still has 0.996.
+  static constexpr double kSameAxes = 0.95, kMeasured = 0.98;
+  /// The turns are large enough to be measured, and fit about other axes than the configured ones only.
+  bool about_other_axes() const { return cosine < kSameAxes && best >= kMeasured; }
+};
+
+/// Turns between neighbours along the body's axes, by vision through the mounting and by the gyroscope with `bias`. A
+/// steady turn is left out of both: it may be the gyroscope's bias. The best fit by Kabsch, Acta Crystallographica A32,
+/// 1976, mirror images allowed. No allocation.
+TurnAgreement agreement_of_turns(std::span<const InertialNode> nodes, const CameraMounting& mounting,
+                                 const ImuBias& bias);
+
 /// The rest, given it. At least four moments; the first one's since_last is not looked at. The strength of gravity is a
 /// constraint (a Lagrange multiplier, found by bisection of the secular equation). Not ok: the moments do not say, or
 /// the scale would be negative. A hint weighs as much as its sigma says. No allocation; time in proportion to the

@@ -225,22 +225,22 @@ double InertialOdometry::course_sigma(std::span<const InertialNode> window) cons
                     options_.most_course_sigma);
 }
 
-void InertialOdometry::try_to_begin(const VisualPose& pose) {
+bool InertialOdometry::try_to_begin(const VisualPose& pose) {
   const int n = smoother_.size();
-  if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return;
+  if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return false;
   std::array<InertialNode, InertialSmoother::kNodes> nodes;
   for (int i = 0; i < n; ++i) nodes[i] = smoother_.node(i);
   const std::span<const InertialNode> window(nodes.data(), n);
+  const TurnAgreement turns = agreement_of_turns(window, smoother_.mounting(), prior_.bias);
+  if (turns.about_other_axes())
+    return refuse("sensor and pictures turn about other axes: cosine", turns.cosine, TurnAgreement::kSameAxes);
   ImuBias bias = prior_.bias;
   bias.gyro = stood() ? first_vertical_.gyro_bias
                       : align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
   const ScaleHint others = hint();
   const Alignment found =
       align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
-  if (!found.ok) {
-    refuse("no scale fits", 0, 0);
-    return;
-  }
+  if (!found.ok) return refuse("no scale fits", 0, 0);
   // The moments anew, each from the one before by what the alignment found.
   smoother_.clear();
   smoother_.add(window[0]);
@@ -256,13 +256,14 @@ void InertialOdometry::try_to_begin(const VisualPose& pose) {
   const double course = course_sigma(window);
   set_prior(begin_accel_sigma_, course);
   count_on(others);
-  if (!convincing(smoother_.solve(6))) return;
+  if (!convincing(smoother_.solve(6))) return false;
   if (begin_accel_sigma_ > prior_.accel_bias_sigma) {
     set_prior(prior_.accel_bias_sigma, course);
-    if (!smoother_.solve(2).ok) return;
+    if (!smoother_.solve(2).ok) return false;
   }
   begin(pose, up_seen());
   strayed2_ = 0;
+  return true;
 }
 
 void InertialOdometry::stray_on() {

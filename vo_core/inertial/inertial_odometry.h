@@ -121,7 +121,8 @@ class InertialOdometry : public MetricMap {
   /// The vertical of its first moment is known from a rest before it.
   bool stood() const { return first_vertical_.known && first_vertical_.sigma < options_.begin_up_sigma; }
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
-  void try_to_begin(const VisualPose& pose);
+  /// Whether the map became metric with it.
+  bool try_to_begin(const VisualPose& pose);
   /// Begins with what is known of the sensor, its accelerometer's bias as well as this.
   void set_prior(double accel_bias_sigma, double course_sigma);
   /// Biases and mounting are no further from what they were taken to be at first.
