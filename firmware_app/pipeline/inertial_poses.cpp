@@ -120,7 +120,7 @@ void InertialPoses::make_metric(const vo::FrameResult& result, rt::TimeNs t_ns, 
     tell_sensor(metric.log_scale_sigma);
     fill(pose, record);
     if (pose.why[0] != '\0') {
-      record->why = {pose.why, measured_figure(1000 * pose.value), measured_figure(1000 * pose.limit)};
+      record->why = {pose.why, measured_figure(pose.value), measured_figure(pose.limit)};
       record->reason.assign_measured(record->why.text, record->why.value, record->why.limit);
     }
     return;

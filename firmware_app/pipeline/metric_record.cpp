@@ -90,7 +90,7 @@ void tell_shares(const vo::ScaleState& scale, InertialRecord* record) {
 void tell_unmetric(const char* why, double value, double limit, FrameRecord* record) {
   record->tracked = record->has_pose = false;
   record->state = vo::State::kInitialising;
-  record->why = {why, measured_figure(1000 * value), measured_figure(1000 * limit)};
+  record->why = {why, measured_figure(value), measured_figure(limit)};
   record->reason.assign_measured(why, record->why.value, record->why.limit);
 }
 

@@ -29,8 +29,8 @@ vo::AidReading start_reading(double height_m);
 /// Scale as lengths from others have it.
 void tell_shares(const vo::ScaleState& scale, InertialRecord* record);
 
-/// A frame that vision has a pose of and nobody metres: it counts as not tracked, and says why. The figures are told in
-/// thousandths: a reason's are whole numbers.
+/// A frame that vision has a pose of and nobody metres: it counts as not tracked, and says why, with figures in the
+/// unit that why names.
 void tell_unmetric(const char* why, double value, double limit, FrameRecord* record);
 
 }  // namespace godwit::app

@@ -85,7 +85,9 @@ TEST(AidedPoses, FromThenOnItIsMetricOrSaysWhatIsMissing) {
   for (int k = 0; k < 100; ++k) r = f.frame(k);
   EXPECT_FALSE(r.tracked || r.has_pose || r.metric);
   EXPECT_EQ(r.state, vo::State::kInitialising);
-  EXPECT_NE(std::string(r.reason.view()).find("nobody tells the scale well enough: its sigma"), std::string::npos);
+  EXPECT_NE(std::string(r.reason.view()).find("nobody tells the scale well enough: its sigma [0.1 %]"),
+            std::string::npos);
+  EXPECT_EQ(r.why.limit, 200) << "tenths of a per cent";
   f.range_ = true;
   for (int k = 100; k < 300; ++k) r = f.frame(k);
   ASSERT_TRUE(r.tracked && r.has_pose && r.metric) << r.reason.view();

@@ -8,8 +8,10 @@
 #include <functional>
 #include <gtest/gtest.h>
 #include <limits>
+#include <map>
 #include <numbers>
 #include <random>
+#include <set>
 #include <string>
 
 #include "firmware_app/pipeline/inertial_options.h"
@@ -151,6 +153,33 @@ TEST(InertialPoses, ALossIsCoastedForTheTimeConfiguredAndThenNothingIsTold) {
   const FrameRecord back = f.frame(120);
   EXPECT_TRUE(back.tracked && back.metric);
   EXPECT_EQ(back.frame_id, 1u);
+}
+
+// All were thousandths of something before: "the scale is not seen: its sigma: 91 of 80", "sigma [m]: 5340 of 5000".
+TEST(InertialPoses, FiguresOfReasonsAreInTheUnitThatTheyName) {
+  Flown f(2, rt::kNsPerSecond);
+  const std::map<std::string, std::int32_t> limits = {{"the scale is not seen: its sigma [0.1 %]", 80},
+                                                      {"the vertical is not seen: its sigma [mrad]", 30},
+                                                      {"flown blind too far to join on: sigma [cm]", 500},
+                                                      {"turned blind too far to join on: sigma [mrad]", 350}};
+  std::set<std::string> told;
+  const auto look_at = [&](const FrameRecord& r) {
+    const std::string text = r.why.text;
+    told.insert(text);
+    const auto limit = limits.find(text);
+    if (limit == limits.end()) return;
+    EXPECT_EQ(r.why.limit, limit->second) << text;
+    EXPECT_GT(r.why.value, limit->second) << text;
+    EXPECT_LT(r.why.value, 1000 * limit->second) << text;
+  };
+  for (int k = 0; k < 80; ++k) look_at(f.frame(k));
+  f.tracked_ = false;
+  for (int k = 80; k < 1280; ++k) f.frame(k);
+  f.tracked_ = true;
+  f.map_id_ = 2;
+  for (int k = 1280; k < 1400; ++k) look_at(f.frame(k));
+  for (const char* text : {"the scale is not seen: its sigma [0.1 %]", "flown blind too far to join on: sigma [cm]"})
+    EXPECT_EQ(told.count(text), 1u) << text;
 }
 
 TEST(InertialPoses, AShakeIsFlownWithTimesThatScatterAsWithEvenOnes) {

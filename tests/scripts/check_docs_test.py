@@ -177,10 +177,10 @@ class CheckDocs(unittest.TestCase):
         known = reasons.reasons(ROOT)
         # Of each way in which the sources write one.
         for reason in ('too few features', 'first map, homography', 'disparity too small [px]', 'no keyframe to begin with, points in it',
-                       'too little speaks for the pose [nats]', 'the scale is not seen: its sigma', 'rung down', 'IMU silent', 'no picture',
+                       'too little speaks for the pose [nats]', 'the scale is not seen: its sigma [0.1 %]', 'rung down', 'IMU silent', 'no picture',
                        'waiting for motion that shows scale and vertical', 'by the inertial sensor alone [ms]', 'a newer picture had come',
-                       'camera clock: the capture time did not advance', 'detector is back', 'flown blind too far to join on: sigma [m]',
-                       'nothing seen for too long to coast [s]', 'tracking, mostly by proved points inside the mask'):
+                       'camera clock: the capture time did not advance', 'detector is back', 'flown blind too far to join on: sigma [cm]',
+                       'nothing seen for too long to coast [ms]', 'tracking, mostly by proved points inside the mask'):
             self.assertIn(reason, known)
         found = self.findings('`too few features`\n', 'troubleshooting.md')
         self.assertEqual(len(found), len(known) - 1)

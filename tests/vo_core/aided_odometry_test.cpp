@@ -75,7 +75,8 @@ TEST(AidedOdometry, AConfiguredHeightAloneIsEnoughAndSaysHowLittleItKnows) {
 TEST(AidedOdometry, WithoutAttitudeOrLengthNothingIsToldAndItSaysWhatIsMissing) {
   AidedFlown without_length(1);
   for (int k = 0; k < 300; ++k) ASSERT_FALSE(without_length.frame(k, {}).valid);
-  EXPECT_EQ(std::string(without_length.odometry_->refusal().text), "nobody tells the scale well enough: its sigma");
+  EXPECT_EQ(std::string(without_length.odometry_->refusal().text),
+            "nobody tells the scale well enough: its sigma [0.1 %]");
   EXPECT_TRUE(without_length.odometry_->attitude_heard());
 
   AidedFlown without_vertical(1);

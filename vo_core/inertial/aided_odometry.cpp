@@ -48,10 +48,11 @@ bool AidedOdometry::good_enough() {
   if (vertical_.distrusted()) return refuse("the autopilot's attitude contradicts the pictures", 0, 0);
   if (!vertical_.known()) return refuse("waiting for the autopilot's attitude", 0, 0);
   if (!(vertical_.sigma_rad() < most_up))
-    return refuse("the autopilot's attitude does not show the vertical: its sigma [rad]", vertical_.sigma_rad(),
-                  most_up);
+    return refuse("the autopilot's attitude does not show the vertical: its sigma [mrad]", 1e3 * vertical_.sigma_rad(),
+                  1e3 * most_up);
   if (!(aids_.state().log_sigma() < most_scale))
-    return refuse("nobody tells the scale well enough: its sigma", aids_.state().log_sigma(), most_scale);
+    return refuse("nobody tells the scale well enough: its sigma [0.1 %]", 1e3 * aids_.state().log_sigma(),
+                  1e3 * most_scale);
   return true;
 }
 

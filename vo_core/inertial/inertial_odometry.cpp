@@ -174,8 +174,8 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   const rt::TimeNs missing_ns = measured_since(node.t_ns, &node.since_last);
   // Readings held over the whole of it are none: the bias that they make outlives the window.
   if (missing_ns > options_.max_missing_ns || missing_ns >= node.t_ns - last || node.since_last.dt_s() <= 0) {
-    refuse("inertial readings are missing [s]", rt::to_seconds(missing_ns),
-           rt::to_seconds(std::min(options_.max_missing_ns, node.t_ns - last)));
+    refuse("inertial readings are missing [ms]", rt::to_ms(missing_ns),
+           rt::to_ms(std::min(options_.max_missing_ns, node.t_ns - last)));
     begin_window(pose);
     return false;
   }
@@ -194,13 +194,12 @@ bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
   attempt_up_ = up_sigma < options_.begin_up_sigma ? smoother_.newest().up : Vec3(Vec3::Zero());
   attempt_up_sigma_ = up_sigma;
   if (!(scale_sigma < options_.begin_scale_sigma))
-    return refuse("the scale is not seen: its sigma", scale_sigma, options_.begin_scale_sigma);
+    return refuse("the scale is not seen: its sigma [0.1 %]", 1e3 * scale_sigma, 1e3 * options_.begin_scale_sigma);
   if (!(up_sigma < options_.begin_up_sigma))
-    return refuse("the vertical is not seen: its sigma [rad]", up_sigma, options_.begin_up_sigma);
-  const double chi2 = report.chi2 / std::max(1, report.rows);
-  const bool fits = chi2 < options_.begin_chi2
-                        ? plausible(4)
-                        : refuse("vision and inertial sensor disagree: chi-square a degree", chi2, options_.begin_chi2);
+    return refuse("the vertical is not seen: its sigma [mrad]", 1e3 * up_sigma, 1e3 * options_.begin_up_sigma);
+  const double chi2 = 100 * report.chi2 / std::max(1, report.rows), most = 100 * options_.begin_chi2;
+  const bool fits = chi2 < most ? plausible(4)
+                                : refuse("vision and inertial sensor disagree: chi-square a degree [0.01]", chi2, most);
   // It may not have been a rest: the next attempt goes without.
   if (!fits) first_vertical_.known = false;
   return fits;
@@ -210,10 +209,10 @@ bool InertialOdometry::plausible(double most_sigmas) {
   const S& x = smoother_.newest();
   const double off = std::max((x.bias.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
                               (x.bias.accel - prior_.bias.accel).norm() / begin_accel_sigma_);
-  if (!(off < most_sigmas)) return refuse("the biases would be absurd [sigmas]", off, most_sigmas);
+  if (!(off < most_sigmas)) return refuse("the biases would be absurd [0.1 sigma]", 10 * off, 10 * most_sigmas);
   const double turned = (x.mounting - prior_.mounting).norm() / prior_.mounting_sigma;
   if (!(turned < most_sigmas))
-    return refuse("the sensor would sit far from how it is configured [sigmas]", turned, most_sigmas);
+    return refuse("the sensor would sit far from how it is configured [0.1 sigma]", 10 * turned, 10 * most_sigmas);
   return true;
 }
 
@@ -233,7 +232,8 @@ bool InertialOdometry::try_to_begin(const VisualPose& pose) {
   const std::span<const InertialNode> window(nodes.data(), n);
   const TurnAgreement turns = agreement_of_turns(window, smoother_.mounting(), prior_.bias);
   if (turns.about_other_axes())
-    return refuse("sensor and pictures turn about other axes: cosine", turns.cosine, TurnAgreement::kSameAxes);
+    return refuse("sensor and pictures turn about other axes: cosine [0.01]", 100 * turns.cosine,
+                  100 * TurnAgreement::kSameAxes);
   ImuBias bias = prior_.bias;
   bias.gyro = stood() ? first_vertical_.gyro_bias
                       : align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
@@ -316,7 +316,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
     const auto report = smoother_.solve(2);
     const double sigma = std::sqrt(smoother_.covariance()(S::kScale, S::kScale));
     if (!report.ok || !(sigma < options_.lost_scale_sigma)) {
-      refuse("the scale was lost: its sigma", sigma, options_.lost_scale_sigma);
+      refuse("the scale was lost: its sigma [0.1 %]", 1e3 * sigma, 1e3 * options_.lost_scale_sigma);
       begin_window(pose);
     } else if (!plausible(options_.most_sigmas)) {
       // What vision and sensor disagree about has gone where it could go: nothing of this window can be believed.

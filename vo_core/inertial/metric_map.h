@@ -80,7 +80,8 @@ class MetricMap {
   bool metric() const { return metric_; }
   /// How often it became metric: poses of one number stand in one frame.
   std::uint32_t begun() const { return begun_; }
-  /// Why the last frame is not metric.
+  /// Why the last frame is not metric. What is told of it are whole numbers: value and limit count in the unit that the
+  /// text names in brackets, one that is fine enough for that.
   struct Refusal {
     const char* text = "";
     double value = 0, limit = 0;

@@ -55,7 +55,7 @@ void NavigationFrame::go_on_to(rt::TimeNs t_ns) {
   t_state_ns_ = t_ns;
   const double turned = std::sqrt(std::max(0.0, state_.P(D::kAttitude + 2, D::kAttitude + 2) - seen_heading_variance_));
   if (!(turned <= options_.broken_heading_rad)) {
-    break_frame("turned blind too far to join on: sigma [rad]", turned, options_.broken_heading_rad);
+    break_frame("turned blind too far to join on: sigma [mrad]", 1e3 * turned, 1e3 * options_.broken_heading_rad);
     drifted_off_ = true;
   }
 }
@@ -117,18 +117,20 @@ bool NavigationFrame::join(const MetricMoment& m, const Mat3& R_child_body, cons
       joined.update<3>(speed - joined.v, H_speed, Mat3(turn * m.velocity_covariance * turn.transpose()));
 
   if (!(tilt2 <= options_.most_tilt2)) {
-    break_frame("the new map's vertical is not the sensor's: sigmas squared", tilt2, options_.most_tilt2);
+    break_frame("the new map's vertical is not the sensor's: sigmas squared [0.1]", 10 * tilt2,
+                10 * options_.most_tilt2);
     return false;
   }
   if (!(speed2 <= options_.most_speed2)) {
-    break_frame("the new map's speed is not the sensor's: sigmas squared", speed2, options_.most_speed2);
+    break_frame("the new map's speed is not the sensor's: sigmas squared [0.1]", 10 * speed2,
+                10 * options_.most_speed2);
     return false;
   }
   // Only now: what a wrong vertical or bias did to the speed it did to the place, too, so that the new map's speed
   // takes most of it back.
   const double grown = std::sqrt(std::max(0.0, joined.P.diagonal().segment<3>(D::kPlace).sum() - seen_variance_));
   if (!(grown <= options_.broken_sigma_m)) {
-    break_frame("flown blind too far to join on: sigma [m]", grown, options_.broken_sigma_m);
+    break_frame("flown blind too far to join on: sigma [cm]", 100 * grown, 100 * options_.broken_sigma_m);
     state_.p = joined.p;
     return false;
   }
@@ -176,22 +178,22 @@ NavigationPose NavigationFrame::tell_coasted(rt::TimeNs t_ns) const {
   out.limit = limit_;
   if (!known_) return out;
   if (blind_ns_ > 0) {
-    out.why = "nothing seen, and the inertial sensor is silent [s]";
-    out.value = rt::to_seconds(blind_ns_);
-    out.limit = rt::to_seconds(options_.inertial.held_ns);
+    out.why = "nothing seen, and the inertial sensor is silent [ms]";
+    out.value = rt::to_ms(blind_ns_);
+    out.limit = rt::to_ms(options_.inertial.held_ns);
     return out;
   }
   const double grown = std::sqrt(std::max(0.0, state_.P.diagonal().segment<3>(D::kPlace).sum() - seen_variance_));
   if (out.unseen_ns > options_.coast_ns) {
-    out.why = "nothing seen for too long to coast [s]";
-    out.value = rt::to_seconds(out.unseen_ns);
-    out.limit = rt::to_seconds(options_.coast_ns);
+    out.why = "nothing seen for too long to coast [ms]";
+    out.value = rt::to_ms(out.unseen_ns);
+    out.limit = rt::to_ms(options_.coast_ns);
     return out;
   }
   if (!(grown <= options_.coast_sigma_m)) {
-    out.why = "nothing seen, and too uncertain to coast: sigma [m]";
-    out.value = grown;
-    out.limit = options_.coast_sigma_m;
+    out.why = "nothing seen, and too uncertain to coast: sigma [mm]";
+    out.value = 1e3 * grown;
+    out.limit = 1e3 * options_.coast_sigma_m;
     return out;
   }
   out.source = NavigationPose::Source::kCoasted;
@@ -257,7 +259,7 @@ void NavigationFrame::check(const NavigationPose& pose, const MetricMoment& m, r
     const Mat3 both = checked_.P.block<3, 3>(D::kPlace, D::kPlace) + vision * vision * Mat3::Identity();
     const Vec3 off = state_.p - checked_.p;
     if (self_check_.add(CheckedBy::kInertial, off.dot(both.inverse() * off), 3, t_ns)) {
-      break_frame(self_check_.reason(), self_check_.value(), options_.self_check.lost);
+      break_frame(self_check_.reason(), 10 * self_check_.value(), 10 * options_.self_check.lost);
     }
   }
   checked_ = state_;

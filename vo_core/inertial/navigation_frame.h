@@ -67,7 +67,7 @@ struct NavigationPose {
   rt::TimeNs unseen_ns = 0;  ///< since the last picture that was seen
   double trust = 1;      ///< 0 to 1: whether vision and inertial sensor agree over time (vo_core/inertial/self_check.h)
   const char* why = "";  ///< kNone, or a frame begun anew: static text
-  double value = 0, limit = 0;
+  double value = 0, limit = 0;  ///< in the unit that why names, as of MetricMap::Refusal
 };
 
 /// One thread; no allocation after the constructor. Readings and pictures in the order of their times, a picture after
@@ -98,7 +98,7 @@ class NavigationFrame {
   /// Somebody beside vision and inertial sensor knows lengths, too: by how much they are off from his, squared, in
   /// sigmas, one degree of freedom. Counts once in check_ns, before that picture's frame(); lowers trust, ends nothing.
   void contradicted(CheckedBy by, double squared, rt::TimeNs t_ns);
-  /// The frame begins anew with the next moment that is seen. Static text.
+  /// The frame begins anew with the next moment that is seen. Static text, and figures in the unit that it names.
   void break_frame(const char* why, double value, double limit);
 
   std::uint32_t frame_id() const { return frame_id_; }

@@ -26,9 +26,10 @@ SelfCheck::One& SelfCheck::remember(CheckedBy by, double squared, int degrees, r
 }
 
 bool SelfCheck::add(CheckedBy by, double squared, int degrees, rt::TimeNs t_ns) {
-  constexpr const char* kReasons[] = {
-      "vision and inertial sensor disagree: innovation squared", "vision and barometer disagree: innovation squared",
-      "vision and rangefinder disagree: innovation squared", "vision and satellites disagree: innovation squared"};
+  constexpr const char* kReasons[] = {"vision and inertial sensor disagree: innovation squared [0.1]",
+                                      "vision and barometer disagree: innovation squared [0.1]",
+                                      "vision and rangefinder disagree: innovation squared [0.1]",
+                                      "vision and satellites disagree: innovation squared [0.1]"};
   One& one = remember(by, squared, degrees, t_ns);
   if (!(mean(by) > options_.lost)) {
     one.t_beyond_ns = 0;

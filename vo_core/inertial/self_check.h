@@ -45,7 +45,7 @@ class SelfCheck {
   double mean(CheckedBy by) const;
   void reset();
 
-  const char* reason() const { return reason_; }  ///< of the last giving up, static text
+  const char* reason() const { return reason_; }  ///< of the last giving up, static text; its figure: ten times value()
   double value() const { return value_; }         ///< its mean squared innovation
 
  private:
