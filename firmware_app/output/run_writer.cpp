@@ -58,7 +58,7 @@ std::string poses_header() {
   for (const char* what : {"gyro_bias", "accel_bias", "mounting"}) {
     for (const char axis : {'x', 'y', 'z'}) h += fmt::format(",{}_{}", what, axis);
   }
-  return h + ",time_offset,earth_heading,earth_heading_sigma,earth_x,earth_y,earth_z,earth_place_sigma\n";
+  return h + ",time_offset,frame_id,trust,earth_heading,earth_heading_sigma,earth_x,earth_y,earth_z,earth_place_sigma\n";
 }
 
 /// What the mapper did before this frame was done; nothing where it did nothing.
@@ -183,9 +183,9 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
       append(r.inertial.gyro_bias);
       append(r.inertial.accel_bias);
       append(r.inertial.mounting);
-      append(std::array{r.inertial.time_offset_s});
+      fmt::format_to(std::back_inserter(line_), ",{},{},{}", r.inertial.time_offset_s, r.frame_id, r.trust);
     } else {
-      line_.append(20, ',');
+      line_.append(22, ',');
     }
     if (r.metric && r.earth.known) {
       append(std::array{r.earth.heading, r.earth.heading_sigma});

@@ -127,6 +127,10 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   judged.reference_covariance.front() = 0.25;
   judged.reference_covariance.back() = 0.125;
   judged.median_depth = 3.5;
+  judged.metric = true;
+  judged.inertial.time_offset_s = 0.003;
+  judged.frame_id = 2;
+  judged.trust = 0.75;
   judged.keyframe_reason = "turned";
   judged.mapping.messages = 2;
   judged.mapping.points = 300;
@@ -167,7 +171,7 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   const auto poses = lines_of(read_file(folder / "out/pose.csv"));
   ASSERT_EQ(poses.size(), 4u) << "two tracked and one coasted";
   EXPECT_EQ(field(poses[0], poses[2], "state"), "COASTING");
-  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u + 9u + 21u + 1u + 20u) << "pose, reference, depth, what is inertial";
+  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u + 9u + 21u + 1u + 22u) << "pose, reference, depth, what is inertial";
   for (const std::string& line : poses) EXPECT_EQ(fields_of(line).size(), fields_of(poses[0]).size()) << line;
   EXPECT_EQ(field(poses[0], poses[1], "ref_id"), "0") << "no reference is told as none";
   EXPECT_EQ(field(poses[0], poses[1], "ref_t"), "");
@@ -178,6 +182,10 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   EXPECT_EQ(field(poses[0], poses[3], "r00"), "0.25");
   EXPECT_EQ(field(poses[0], poses[3], "r55"), "0.125");
   EXPECT_EQ(field(poses[0], poses[3], "median_depth"), "3.5");
+  EXPECT_EQ(field(poses[0], poses[3], "time_offset"), "0.003");
+  EXPECT_EQ(field(poses[0], poses[3], "frame_id"), "2");
+  EXPECT_EQ(field(poses[0], poses[3], "trust"), "0.75");
+  EXPECT_EQ(field(poses[0], poses[1], "frame_id"), "") << "in no navigation frame";
 
   const auto summary = nlohmann::json::parse(read_file(folder / "out/summary.json"));
   EXPECT_EQ(summary["frames"], 5);

@@ -6,6 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "hal/camera/calibration.h"
 #include "tests/support/run_command.h"
@@ -52,10 +53,16 @@ Eigen::Matrix3d rotation(const std::array<double, 16>& T) {
   return Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(T.data()).topLeftCorner<3, 3>();
 }
 
-/// The last column of the last line: the time offset as it is told in flight [s].
+/// The time offset as it is told in flight, of the last line [s].
 double told_offset(const std::string& pose_csv) {
   const std::string text = read_file(pose_csv);
-  return std::atof(text.c_str() + text.rfind(',') + 1);
+  std::istringstream names(text.substr(0, text.find('\n'))), values(text.substr(text.rfind('\n', text.size() - 2) + 1));
+  std::string name, value;
+  while (std::getline(names, name, ',') && std::getline(values, value, ',')) {
+    if (name == "time_offset") return std::atof(value.c_str());
+  }
+  ADD_FAILURE() << pose_csv << " has no time_offset";
+  return 0;
 }
 
 TEST(WriteCalibration, ARenderedFlightGivesTheTimeOffsetWithinAMillisecondAndIsFlownByIt) {
