@@ -108,8 +108,9 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
     fmt::print("no pose was found\n");
   }
   if (const auto& imu = writer.pipeline().imu) {
-    fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences{}\n", imu->samples, imu->gaps, imu->dropped,
-               imu->silences, inertial ? "" : "; they were watched, not used");
+    fmt::print("IMU: {} samples, {} gaps, {} dropped, {} silences{}{}\n", imu->samples, imu->gaps, imu->dropped,
+               imu->silences, imu->saturated > 0 ? fmt::format(", {} at the end of the range", imu->saturated) : "",
+               inertial ? "" : "; they were watched, not used");
   }
   if (s.aided_log_sigma > 0) {
     fmt::print(

@@ -118,8 +118,9 @@ void tell(const PipelineCounters& c, std::uint64_t tracked, bool detector) {
                     s.detections_late, s.detector_stuck));
   }
   if (c.imu) {
-    say(fmt::format("IMU: {} samples, {} gaps, {} faults, {} implausible, {} dropped, {} silences", c.imu->samples,
-                    c.imu->gaps, c.imu->faults, c.imu->implausible, c.imu->dropped, c.imu->silences));
+    say(fmt::format("IMU: {} samples, {} saturated, {} gaps, {} faults, {} implausible, {} dropped, {} silences",
+                    c.imu->samples, c.imu->saturated, c.imu->gaps, c.imu->faults, c.imu->implausible, c.imu->dropped,
+                    c.imu->silences));
   }
   for (const ThreadReport& t : c.threads) {
     say(fmt::format("thread {}: {} minor and {} major page faults, {} kB of stack", t.name, t.faults.minor,

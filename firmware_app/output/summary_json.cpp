@@ -61,8 +61,8 @@ Json scheduler_of(const PipelineCounters& p) {
 }
 
 Json of(const ImuCounters& c) {
-  return {{"samples", c.samples},         {"gaps", c.gaps},       {"faults", c.faults},
-          {"implausible", c.implausible}, {"dropped", c.dropped}, {"silences", c.silences}};
+  return {{"samples", c.samples},         {"saturated", c.saturated}, {"gaps", c.gaps},        {"faults", c.faults},
+          {"implausible", c.implausible}, {"dropped", c.dropped},     {"silences", c.silences}};
 }
 
 Json of(const ThreadReport& t) {

@@ -21,6 +21,7 @@ hal::ImuStatus ImuFeeder::next(hal::ImuSample* sample, rt::TimeNs timeout_ns) {
   any_ = true;
   t_last_ns_ = sample->t_ns;
   ++counters.samples;
+  if ((sample->flags & (hal::kImuGyroSaturated | hal::kImuAccelSaturated)) != 0) ++counters.saturated;
   if (onlooker_ != nullptr) onlooker_->show(*sample, live_);
   return status;
 }

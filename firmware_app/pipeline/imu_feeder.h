@@ -18,6 +18,7 @@ using ReadingRing = rt::SpscRing<hal::ImuSample, 4096>;
 
 struct ImuCounters {
   std::uint64_t samples = 0;      ///< plausible ones
+  std::uint64_t saturated = 0;    ///< of these: an axis at the end of its range
   std::uint64_t gaps = 0;         ///< steps of more than one and a half intervals between two of them
   std::uint64_t faults = 0;       ///< the device did not answer, or with nonsense
   std::uint64_t implausible = 0;  ///< times that repeat, go back, or lie in the future

@@ -64,7 +64,8 @@ InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeN
 void InertialPoses::take(const hal::ImuSample& s) {
   if (!hal::possible(s)) return;
   const vo::ImuReading reading{pace_.lay(s.t_ns), Eigen::Vector3d(s.gyro_rad_s.data()),
-                               Eigen::Vector3d(s.accel_m_s2.data())};
+                               Eigen::Vector3d(s.accel_m_s2.data()), (s.flags & hal::kImuGyroSaturated) != 0,
+                               (s.flags & hal::kImuAccelSaturated) != 0};
   odometry_->add(reading);
   navigation_->add(reading);
 }

@@ -13,6 +13,8 @@ hal::ImuErrorModel imu_errors_of(const sim::Scenario& scenario) {
   out.accelerometer_random_walk = m.accel_bias_walk;
   out.accelerometer_bias_sigma = m.accel_bias;
   out.accelerometer_scale_sigma = 0;
+  out.gyroscope_range = m.gyro_range_rad_s;
+  out.accelerometer_range = m.accel_range_m_s2;
   return out;
 }
 

@@ -107,8 +107,10 @@ rt::Result<void> write_imu(const sim::Flight& flight, const std::string& out) {
       "0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]\nrate_hz: {:.12g}\ngyroscope_noise_density: {:.12g}\ngyroscope_random_walk: "
       "{:.12g}\n"
       "accelerometer_noise_density: {:.12g}\naccelerometer_random_walk: {:.12g}\n"
-      "accelerometer_bias_sigma: {:.12g}\naccelerometer_scale_sigma: 0\n",
-      m.rate_hz, m.gyro_noise, m.gyro_bias_walk, m.accel_noise, m.accel_bias_walk, m.accel_bias);
+      "accelerometer_bias_sigma: {:.12g}\naccelerometer_scale_sigma: 0\n"
+      "gyroscope_range: {:.12g}\naccelerometer_range: {:.12g}\n",
+      m.rate_hz, m.gyro_noise, m.gyro_bias_walk, m.accel_noise, m.accel_bias_walk, m.accel_bias, m.gyro_range_rad_s,
+      m.accel_range_m_s2);
   if (auto r = write_text(out + "/imu.txt", tum); !r) return r;
   if (auto r = write_text(out + "/imu.yaml", yaml); !r) return r;
   if (auto r = write_text(out + "/mav0/imu0/data.csv", asl); !r) return r;

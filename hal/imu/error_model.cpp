@@ -22,6 +22,8 @@ constexpr Key kKeys[] = {
     {"accelerometer_random_walk", &ImuErrorModel::accelerometer_random_walk, 0, 1, "m/s^3/sqrt(Hz)"},
     {"accelerometer_bias_sigma", &ImuErrorModel::accelerometer_bias_sigma, 1e-4, 5, "m/s^2"},
     {"accelerometer_scale_sigma", &ImuErrorModel::accelerometer_scale_sigma, 0, 0.2, "of what is measured"},
+    {"gyroscope_range", &ImuErrorModel::gyroscope_range, 0.5, 100, "rad/s"},
+    {"accelerometer_range", &ImuErrorModel::accelerometer_range, 10, 1000, "m/s^2"},
 };
 
 }  // namespace

@@ -19,6 +19,9 @@ struct ImuErrorModel {
   // vision sees that within a second.
   std::optional<double> accelerometer_bias_sigma;   ///< [m/s^2]
   std::optional<double> accelerometer_scale_sigma;  ///< a share of what is measured
+  // Keys of our own, too: where its axes end. A reading there is a lower bound.
+  std::optional<double> gyroscope_range;      ///< [rad/s]
+  std::optional<double> accelerometer_range;  ///< [m/s^2]
 
   /// Nobody says anything.
   bool empty() const;

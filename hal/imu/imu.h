@@ -36,6 +36,18 @@ inline bool possible(const ImuSample& s) {
   return true;
 }
 
+/// Flags of a sample one axis of which stands at the end of its range; a range of 0 is not known. Sensors of 12 bits,
+/// the fewest there are, end one part in 2048 before it. No allocation.
+inline std::uint8_t saturated_flags(const ImuSample& s, double gyro_range_rad_s, double accel_range_m_s2) {
+  constexpr double kEnd = 2047.0 / 2048;
+  std::uint8_t flags = 0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (gyro_range_rad_s > 0 && std::abs(s.gyro_rad_s[i]) >= kEnd * gyro_range_rad_s) flags |= kImuGyroSaturated;
+    if (accel_range_m_s2 > 0 && std::abs(s.accel_m_s2[i]) >= kEnd * accel_range_m_s2) flags |= kImuAccelSaturated;
+  }
+  return flags;
+}
+
 /// What became of one call of Imu::next.
 enum class ImuStatus : std::uint8_t {
   kSample,   ///< a sample was delivered

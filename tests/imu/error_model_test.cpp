@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <vector>
 
 #include "hal/imu/replay/imu_record.h"
 #include "tests/support/temp_folder.h"
@@ -64,6 +65,31 @@ TEST(ImuErrorModel, GoesWithTheRecordingItLiesBeside) {
   test::write_file(folder / "imu.yaml", "accelerometer_noise_density: 100\n");
   EXPECT_THAT(read_imu_record(folder.path()).error().message, HasSubstr("imu.yaml:1: accelerometer_noise_density"))
       << "a unit gone wrong is not flown with";
+}
+
+TEST(ImuErrorModel, ReadingsAtTheEndsOfTheRangesItNamesAreFlagged) {
+  const test::TempFolder folder;
+  // 16 bits of 4 g and 500 deg/s; the last one of 12 bits.
+  test::write_file(folder / "imu.txt",
+                   "1.0 0 0 8.7 0 0 -9.8\n1.1 0 0 8.726379 0 0 -9.8\n1.2 0 0 0 39.22 -39.2254 0\n"
+                   "1.3 8.7224 0 0 0 39.2075 0\n");
+  const auto flags = [&] {
+    std::vector<int> out;
+    const auto record = read_imu_record(folder.path());
+    for (const ImuSample& s : record.value().samples) out.push_back(s.flags);
+    return out;
+  };
+  EXPECT_THAT(flags(), testing::ElementsAre(0, 0, 0, 0)) << "nobody knows";
+  test::write_file(folder / "imu.yaml", "gyroscope_range: 8.726646\naccelerometer_range: 39.2266\n");
+  EXPECT_THAT(flags(),
+              testing::ElementsAre(0, kImuGyroSaturated, kImuAccelSaturated, kImuGyroSaturated | kImuAccelSaturated));
+  EXPECT_EQ(read_imu_record(folder.path()).value().saturated, 3u);
+  EXPECT_THAT(read_imu_record(folder.path()).value().warnings("flight"),
+              testing::Contains("flight: the inertial sensor is at the end of its range in 3 of 4 readings"));
+  test::write_file(folder / "imu.yaml", "accelerometer_range: 4\n");
+  EXPECT_THAT(read_imu_record(folder.path()).error().message,
+              HasSubstr("accelerometer_range: a number from 10 to 1000"))
+      << "those are g";
 }
 
 }  // namespace

@@ -128,7 +128,12 @@ TEST(SimImu, SaturatesAndQuantises) {
   EXPECT_EQ(sample.t_ns, 5'000);
   const double lsb = model.accel_range_m_s2 / 32768;
   while (imu.next(&sample, 0) == hal::ImuStatus::kSample) {
-    for (const double g : sample.gyro_rad_s) largest = std::max(largest, std::abs(g));
+    bool at_end = false;
+    for (const double g : sample.gyro_rad_s) {
+      largest = std::max(largest, std::abs(g));
+      at_end |= std::abs(g) > 0.9999;
+    }
+    EXPECT_EQ(sample.flags, at_end ? hal::kImuGyroSaturated : 0);
     EXPECT_NEAR(std::remainder(sample.accel_m_s2[2], lsb), 0, 1e-9);
   }
   EXPECT_DOUBLE_EQ(largest, 1.0);

@@ -192,6 +192,52 @@ TEST(ImuBuffer, TimesThatScatterCountAsNoiseWhereItShakes) {
   EXPECT_GT(told, 1e-4);
 }
 
+TEST(ImuBuffer, WhatIsSaturatedIsOffByHalfOfItsRangeForAsLongAsItIs) {
+  // From 100 to 150 ms: 80 m/s^2 along x, and 10 rad/s about z.
+  const auto ms = [](int t) { return t * rt::kNsPerMs; };
+  ImuBuffer buffer, silent;
+  for (int k = 0; k <= 60; ++k) {
+    ImuReading r;
+    r.t_ns = ms(5 * k);
+    const bool ends = k >= 20 && k <= 30;
+    r.accel_m_s2 = Vec3(ends ? 80 : 1, 2, kG);
+    silent.add(r);
+    r.accel_saturated = ends;
+    buffer.add(r);
+  }
+  const auto integrated = [&](const ImuBuffer& of, int from, int to) {
+    Preintegration d;
+    EXPECT_EQ(of.integrate(ms(from), ms(to), {}, &d).accel_saturated, &of == &buffer && from < 155 && to > 95);
+    return d;
+  };
+  const Preintegration all = integrated(buffer, 0, 300), without = integrated(silent, 0, 300);
+  EXPECT_EQ(all.dv({}), without.dv({})) << "its mean is what was read";
+  const auto sigma = [](const Preintegration& d, int part) { return std::sqrt(d.covariance()(part, part)); };
+  // With the steps that lead there and away.
+  EXPECT_NEAR(sigma(all, 3), 40 * 0.055, 40 * 0.001) << "all of it goes one way";
+  EXPECT_LT(sigma(all, 4), 1.1 * sigma(without, 4)) << "other axes are what they were";
+  EXPECT_NEAR(sigma(all, 6), 40 * 0.055 * 0.17, 0.05 * sigma(all, 6)) << "and it is flown on with";
+  EXPECT_EQ(integrated(buffer, 0, 90).covariance(), integrated(silent, 0, 90).covariance());
+  EXPECT_EQ(integrated(buffer, 160, 300).covariance(), integrated(silent, 160, 300).covariance());
+  // Who integrates piece by piece knows no more and no less.
+  double pieces = 0;
+  for (int t = 0; t < 300; t += 20) pieces += integrated(buffer, t, t + 20).covariance()(3, 3);
+  EXPECT_NEAR(std::sqrt(pieces), sigma(all, 3), 0.02 * sigma(all, 3));
+
+  ImuBuffer turning;
+  for (int k = 0; k <= 60; ++k) {
+    ImuReading r;
+    r.t_ns = ms(5 * k);
+    r.gyro_saturated = k >= 20 && k <= 30;
+    r.gyro_rad_s = Vec3(0, 0, r.gyro_saturated ? 10 : 0);
+    turning.add(r);
+  }
+  Preintegration turned;
+  EXPECT_TRUE(turning.integrate(0, ms(300), {}, &turned).saturated());
+  EXPECT_NEAR(sigma(turned, 2), 5 * 0.055, 5 * 0.001);
+  EXPECT_LT(sigma(turned, 0), 1e-3);
+}
+
 TEST(ImuBuffer, RefusesNonsenseAndKeepsTwoSeconds) {
   const auto buffer = std::make_unique<ImuBuffer>();
   ImuReading r;

@@ -33,6 +33,8 @@ class Sensor {
       ImuReading r{t_ns_, gyro_scale_ * rate + bias_.gyro + noise_.gyro * root * random(),
                    kStandardGravity * up + acceleration + bias_.accel + noise_.accel * root * random() +
                        shake * Vec3(std::sin(0.08 * i), 0, 0)};
+      r.gyro_saturated = gyro_ends_;
+      r.accel_saturated = accel_ends_;
       buffer_.add(r);
       rest_.add(r);
       R_world_body_ = R_world_body_ * so3_exp(0.005 * rate);
@@ -50,6 +52,7 @@ class Sensor {
   ImuNoise noise_{3e-4, 8e-3, 5e-5, 3e-3};
   ImuBias bias_;
   double gyro_scale_ = 1;
+  bool gyro_ends_ = false, accel_ends_ = false;  ///< so it says of its readings
   ImuBuffer buffer_;
   RestVertical rest_{noise_, kStandardGravity, 0.1};
   Mat3 R_world_body_ = so3_exp(Vec3(0.3, -0.2, 1));
@@ -106,6 +109,22 @@ TEST(RestVertical, AGapEndsWhatIsKnown) {
   s.t_ns_ += 200 * rt::kNsPerMs;
   s.go(0.1, Vec3::Zero(), Vec3::Zero());
   EXPECT_FALSE(s.now().known) << "nobody knows how it turned meanwhile";
+}
+
+TEST(RestVertical, WhoIsAtTheEndOfARangeIsNotAtRest) {
+  Sensor stuck(5);
+  stuck.accel_ends_ = true;
+  stuck.go(3, Vec3::Zero(), Vec3::Zero());
+  EXPECT_FALSE(stuck.now().known) << "it may be far more than it reads";
+  Sensor s(6);
+  s.go(2, Vec3::Zero(), Vec3::Zero());
+  s.accel_ends_ = true;
+  s.go(0.02, Vec3::Zero(), Vec3(0, 0, 150));
+  EXPECT_TRUE(s.now().known) << "a push turns nothing";
+  s.accel_ends_ = false;
+  s.gyro_ends_ = true;
+  s.go(0.02, Vec3(0, 0, 5), Vec3::Zero());
+  EXPECT_FALSE(s.now().known) << "nobody knows how far it turned";
 }
 
 TEST(RestVertical, IsToldOfTheTimeThatIsAskedFor) {

@@ -4,6 +4,20 @@
 #include <cmath>
 
 namespace godwit::vo {
+namespace {
+
+/// What a saturated axis is off by, one sigma, as a share of what it reads: nobody knows how far beyond its end the
+/// truth was. A truth of 1.5 times the range is one sigma off then, and one of 2.5 times three. Not measured.
+constexpr double kSaturatedShare = 0.5;
+
+/// Nobody says which axis it is: it is the one that reads most, and those that read as much. Their sigmas; zero: of the
+/// others.
+Vec3 saturated_sigma(const Vec3& reading) {
+  const double end = 0.99 * reading.cwiseAbs().maxCoeff();
+  return (reading.array().abs() >= end).select(kSaturatedShare * reading.array().abs(), 0.0);
+}
+
+}  // namespace
 
 Mat3 so3_right_jacobian(const Vec3& w) {
   const double theta2 = w.squaredNorm();
@@ -22,7 +36,7 @@ Mat3 so3_right_jacobian_inverse(const Vec3& w) {
          (1.0 / theta2 - (1.0 + std::cos(theta)) / (2.0 * theta * std::sin(theta))) * W * W;
 }
 
-void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const ImuNoise& noise) {
+void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const ImuNoise& noise, const Vec6& more) {
   const Vec3 turn = (gyro - bias_.gyro) * dt_s, force = accel - bias_.accel;
   const Mat3 half = so3_exp(0.5 * turn), whole = so3_exp(turn);
   const Mat3 R_mid = dR_ * half;
@@ -45,6 +59,7 @@ void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const
   B.block<3, 3>(6, 3) = R_mid * dt2;
   Vec6 variance;
   variance << Vec3::Constant(noise.gyro * noise.gyro / dt), Vec3::Constant(noise.accel * noise.accel / dt);
+  variance += more;
   // lazyProduct: from nine rows on Eigen's operator* calls its blocked product, which allocates.
   const Mat9 carried = A.lazyProduct(covariance_);
   covariance_ = carried.lazyProduct(A.transpose());
@@ -79,7 +94,13 @@ bool ImuBuffer::add(const ImuReading& r) {
     first_ = (first_ + 1) % kReadings;
     --count_;
   }
-  readings_[(first_ + count_) % kReadings] = r;
+  Kept& kept = readings_[(first_ + count_) % kReadings];
+  kept = {r, r.t_ns, r.t_ns};
+  if (count_ > 0) {
+    const Kept& last = at(count_ - 1);
+    if (last.gyro_saturated) kept.gyro_since_ns = last.gyro_since_ns;
+    if (last.accel_saturated) kept.accel_since_ns = last.accel_since_ns;
+  }
   ++count_;
   while (count_ > 2 && r.t_ns - at(1).t_ns > kSpanNs) {
     first_ = (first_ + 1) % kReadings;
@@ -140,6 +161,21 @@ Vec3 ImuBuffer::mean_turn(rt::TimeNs t_ns, rt::TimeNs span_ns) const {
   return sum / kSteps - at_t;
 }
 
+Vec6 ImuBuffer::unmeasured(const Kept& a, const Kept& b, rt::TimeNs from_ns, rt::TimeNs to_ns) {
+  Vec6 out = Vec6::Zero();
+  // The integral's sigma is s t after a time t: a step from t to t + dt adds s^2 (2 t dt + dt^2), which is the step's
+  // dt^2 times this.
+  const auto one = [&](const Vec3& reading, rt::TimeNs since_ns) -> Vec3 {
+    const double t = rt::to_seconds(std::max<rt::TimeNs>(0, from_ns - since_ns)), dt = rt::to_seconds(to_ns - from_ns);
+    return (1 + 2 * t / dt) * saturated_sigma(reading).cwiseAbs2();
+  };
+  if (b.gyro_saturated) out.head<3>() = one(b.gyro_rad_s, b.gyro_since_ns);
+  if (a.gyro_saturated) out.head<3>() = out.head<3>().cwiseMax(one(a.gyro_rad_s, a.gyro_since_ns));
+  if (b.accel_saturated) out.tail<3>() = one(b.accel_m_s2, b.accel_since_ns);
+  if (a.accel_saturated) out.tail<3>() = out.tail<3>().cwiseMax(one(a.accel_m_s2, a.accel_since_ns));
+  return out;
+}
+
 ImuBuffer::Coverage ImuBuffer::integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, const ImuNoise& noise,
                                          Preintegration* out) const {
   Coverage coverage;
@@ -149,7 +185,7 @@ ImuBuffer::Coverage ImuBuffer::integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, con
     return coverage;
   }
   const double scatter_s = time_scatter_s();
-  const auto step = [&](const ImuReading& a, const ImuReading& b, rt::TimeNs from, rt::TimeNs to) {
+  const auto step = [&](const Kept& a, const Kept& b, rt::TimeNs from, rt::TimeNs to) {
     // Of a straight line between two readings the mean is its middle.
     const double span = rt::to_seconds(b.t_ns - a.t_ns);
     const double x = span > 0 ? 0.5 * (rt::to_seconds(from - a.t_ns) + rt::to_seconds(to - a.t_ns)) / span : 0.0;
@@ -160,10 +196,12 @@ ImuBuffer::Coverage ImuBuffer::integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, con
     all.gyro = std::hypot(noise.gyro, late * (b.gyro_rad_s - a.gyro_rad_s).norm());
     all.accel = std::hypot(noise.accel, late * (b.accel_m_s2 - a.accel_m_s2).norm());
     out->add((1 - x) * a.gyro_rad_s + x * b.gyro_rad_s, (1 - x) * a.accel_m_s2 + x * b.accel_m_s2,
-             rt::to_seconds(to - from), all);
+             rt::to_seconds(to - from), all, unmeasured(a, b, from, to));
+    coverage.gyro_saturated |= a.gyro_saturated || b.gyro_saturated;
+    coverage.accel_saturated |= a.accel_saturated || b.accel_saturated;
   };
   rt::TimeNs t = t0_ns;
-  const ImuReading& oldest = at(0);
+  const Kept& oldest = at(0);
   if (t < oldest.t_ns) {
     const rt::TimeNs to = std::min(oldest.t_ns, t1_ns);
     step(oldest, oldest, t, to);
@@ -171,7 +209,7 @@ ImuBuffer::Coverage ImuBuffer::integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, con
     t = to;
   }
   for (std::size_t i = at_or_before(t); i + 1 < count_ && t < t1_ns; ++i) {
-    const ImuReading &a = at(i), &b = at(i + 1);
+    const Kept &a = at(i), &b = at(i + 1);
     const rt::TimeNs to = std::min(b.t_ns, t1_ns);
     if (to <= t) continue;
     step(a, b, t, to);

@@ -19,6 +19,8 @@ struct ImuReading {
   rt::TimeNs t_ns = 0;
   Vec3 gyro_rad_s = Vec3::Zero();
   Vec3 accel_m_s2 = Vec3::Zero();  ///< specific force
+  /// An axis stood at the end of its range: what it reads is the least that it may have been.
+  bool gyro_saturated = false, accel_saturated = false;
 };
 
 /// Densities of white noise and of the biases' walks. Defaults: MPU-6000 and sensors like it
@@ -43,8 +45,9 @@ class Preintegration {
   explicit Preintegration(const ImuBias& bias = {}) : bias_(bias) {}
 
   /// Both readings hold over dt_s > 0, as measured (the bias is taken off here). Second order: the force acts at the
-  /// attitude in the middle of the step.
-  void add(const Vec3& gyro, const Vec3& accel, double dt_s, const ImuNoise& noise);
+  /// attitude in the middle of the step. more: variance that these readings have beside the noise, by axis, those of
+  /// the gyroscope first [rad^2/s^2, m^2/s^4].
+  void add(const Vec3& gyro, const Vec3& accel, double dt_s, const ImuNoise& noise, const Vec6& more = Vec6::Zero());
 
   double dt_s() const { return dt_s_; }
   const ImuBias& bias() const { return bias_; }  ///< that it was integrated with
@@ -92,12 +95,14 @@ class ImuBuffer {
   struct Coverage {
     rt::TimeNs missing_ns = 0;  ///< of it without readings: there the nearest reading was held
     int readings = 0;           ///< used
+    bool gyro_saturated = false, accel_saturated = false;  ///< one of them, at least
+    bool saturated() const { return gyro_saturated || accel_saturated; }
   };
   /// Integrates from t0 to t1 >= t0, between readings by straight lines. What lies before the oldest reading, behind
   /// the newest or in a gap is bridged by holding the nearest, and told. Without any reading at all *out is left as it
   /// is and everything is missing. Where the times told scatter (time_scatter_s) a reading that differs from the one
   /// before counts as that much worse: of a shake of 60 m/s^2 at 85 Hz half a millisecond makes 40 times the noise of
-  /// the sensor.
+  /// the sensor. Of what is saturated the error grows with the time, not with its root: it goes one way all along.
   Coverage integrate(rt::TimeNs t0_ns, rt::TimeNs t1_ns, const ImuNoise& noise, Preintegration* out) const;
 
   /// Mean, over span_ns around t_ns, of the turn since t_ns: rotation vector [rad] in the body's axes, to first order.
@@ -114,10 +119,16 @@ class ImuBuffer {
   void clear() { count_ = 0; }
 
  private:
-  const ImuReading& at(std::size_t i) const { return readings_[(first_ + i) % kReadings]; }
+  struct Kept : ImuReading {
+    rt::TimeNs gyro_since_ns = 0, accel_since_ns = 0;  ///< saturated since then, if it is
+  };
+  const Kept& at(std::size_t i) const { return readings_[(first_ + i) % kReadings]; }
+  /// What readings between these two, of the step from from_ns to to_ns, may be wrong by since they saturate: variances
+  /// as Preintegration::add takes them.
+  static Vec6 unmeasured(const Kept& a, const Kept& b, rt::TimeNs from_ns, rt::TimeNs to_ns);
   /// The last reading at or before t_ns, or the oldest. Not empty.
   std::size_t at_or_before(rt::TimeNs t_ns) const;
-  std::array<ImuReading, kReadings> readings_;
+  std::array<Kept, kReadings> readings_;
   std::size_t first_ = 0, count_ = 0;
   std::uint64_t refused_ = 0;
 };

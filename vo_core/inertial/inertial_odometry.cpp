@@ -56,7 +56,7 @@ bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat
   const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
   Preintegration d(x.bias);
   const auto covered = buffer_.integrate(t_ref_ns + shift, t_cur_ns + shift, options_.model.imu, &d);
-  if (covered.missing_ns > 10 * rt::kNsPerMs) return false;
+  if (covered.missing_ns > 10 * rt::kNsPerMs || covered.gyro_saturated) return false;
   const Mat3 R_body_cam = smoother_.mounting().R_body_cam * so3_exp(x.mounting);
   *R_cur_ref = R_body_cam.transpose() * d.dR(x.bias.gyro).transpose() * R_body_cam;
   return true;
@@ -383,12 +383,14 @@ void InertialOdometry::tell_velocity(const VisualPose& pose, MetricPose* out) co
   const rt::TimeNs t_node = smoother_.node(smoother_.size() - 1).t_ns;
   Preintegration d(x.bias);
   const rt::TimeNs t_ns = std::max(t_node, moment_of(pose));
-  buffer_.integrate(t_node, t_ns, options_.model.imu, &d);
+  const auto covered = buffer_.integrate(t_node, t_ns, options_.model.imu, &d);
   const Vec3 omega = sight_of(pose, t_ns).gyro_rad_s - x.bias.gyro;
   const Vec3 body = x.velocity - options_.model.gravity_m_s2 * d.dt_s() * x.up + x.R_map_body * d.dv(x.bias);
   const Mat3 R_map_body = x.R_map_body * d.dR(x.bias.gyro);
   out->velocity_m_s = R_nav_map * (body + R_map_body * omega.cross(smoother_.mounting().t_body_cam_m));
-  const Mat3 C = smoother_.covariance().block<3, 3>(S::kVelocity, S::kVelocity);
+  Mat3 C = smoother_.covariance().block<3, 3>(S::kVelocity, S::kVelocity);
+  // What came since is for the next window to weigh, but for what was not measured.
+  if (covered.saturated()) C += x.R_map_body * d.covariance().block<3, 3>(3, 3) * x.R_map_body.transpose();
   const double scale_variance = options_.told_scale_sigma * options_.told_scale_sigma;
   out->velocity_covariance = doubt2() * R_nav_map * C * R_nav_map.transpose() +
                              scale_variance * out->velocity_m_s * out->velocity_m_s.transpose();

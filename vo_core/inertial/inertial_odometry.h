@@ -68,7 +68,8 @@ class InertialOdometry : public MetricMap {
   void add(const ImuReading& reading);
   /// What knows metres beside the camera. False: no number, out of order, or no room; it is passed over.
   bool take(const AidReading& reading) { return aids_.take(reading); }
-  /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured whole.
+  /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured
+  /// whole, a gyroscope at the end of its range among that.
   bool camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const;
   /// Takes in one frame and says what it is in metres. Bounded: one solution of the window at most.
   MetricPose frame(const VisualPose& pose);

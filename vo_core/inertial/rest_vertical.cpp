@@ -18,11 +18,14 @@ void KnownVertical::go_on(const Preintegration& d) {
 
 void RestVertical::add(const ImuReading& reading) {
   const rt::TimeNs step_ns = reading.t_ns - last_.t_ns;
-  if (!heard_ || step_ns <= 0 || step_ns > ImuBuffer::kGapNs) {
-    known_ = false;
+  const bool gap = !heard_ || step_ns <= 0 || step_ns > ImuBuffer::kGapNs;
+  if (gap || reading.gyro_saturated || reading.accel_saturated) {
     blocks_full_ = readings_ = 0;
     sum_ = {};
     t_block_ns_ = reading.t_ns;
+  }
+  if (gap || reading.gyro_saturated) {
+    known_ = false;
   } else if (known_) {
     const Vec3 rate = 0.5 * (last_.gyro_rad_s + reading.gyro_rad_s) - gyro_bias_;
     R_rest_body_ = R_rest_body_ * so3_exp(rate * rt::to_seconds(step_ns));

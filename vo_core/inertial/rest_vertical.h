@@ -34,7 +34,8 @@ class RestVertical {
   RestVertical(const ImuNoise& noise, double gravity_m_s2, double gyro_sigma_rad_s)
       : noise_(noise), gravity_m_s2_(gravity_m_s2), gyro_sigma_rad_s_(gyro_sigma_rad_s) {}
 
-  /// Readings in the order of their times; a gap ends what is known.
+  /// Readings in the order of their times; a gap ends what is known, and so does a turn at the end of the gyroscope's
+  /// range. Who is at the end of a range is not at rest.
   void add(const ImuReading& reading);
   /// At a time within the buffer, which holds the same readings.
   KnownVertical at(rt::TimeNs t_ns, const ImuBuffer& buffer) const;

@@ -113,6 +113,9 @@ std::vector<std::string> ImuRecord::warnings(const std::string& name) const {
   if (stuck > 0)
     out.push_back(name + ": the inertial sensor is stuck in " + std::to_string(stuck) + " of " +
                   std::to_string(samples.size()) + " readings");
+  if (saturated > 0)
+    out.push_back(name + ": the inertial sensor is at the end of its range in " + std::to_string(saturated) + " of " +
+                  std::to_string(samples.size()) + " readings");
   return out;
 }
 
@@ -134,6 +137,11 @@ rt::Result<ImuRecord> read_imu_record(const std::string& folder) {
   auto errors = errors_of(layout.value());
   if (!errors) return errors.error();
   record.value().errors = errors.value();
+  const ImuErrorModel& known = record.value().errors;
+  for (ImuSample& s : record.value().samples) {
+    s.flags |= saturated_flags(s, known.gyroscope_range.value_or(0), known.accelerometer_range.value_or(0));
+    if (s.flags != 0) ++record.value().saturated;
+  }
   return record;
 }
 

@@ -15,10 +15,11 @@ namespace godwit::hal {
 struct ImuRecord {
   std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
   std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
-  std::uint64_t stuck = 0;  ///< the same readings as in so many lines before that no sensor that works gives them
-  double rate_hz = 0;       ///< by the median of the steps; 0: a single sample
-  ImuErrorModel errors;     ///< as the recording says it
-  std::string cut_off;      ///< where and how it breaks off in its last line; empty: it does not
+  std::uint64_t stuck = 0;      ///< the same readings as in so many lines before that no sensor that works gives them
+  std::uint64_t saturated = 0;  ///< flagged: an axis at the end of its range, where `errors` says that
+  double rate_hz = 0;           ///< by the median of the steps; 0: a single sample
+  ImuErrorModel errors;         ///< as the recording says it
+  std::string cut_off;          ///< where and how it breaks off in its last line; empty: it does not
 
   /// What is wrong with a record that is used all the same, a line each; name: of the recording.
   std::vector<std::string> warnings(const std::string& name) const;
@@ -34,7 +35,8 @@ rt::Result<ImuRecord> parse_tum_imu(std::string_view text, const std::string& na
 
 /// Reads what lies in a sequence's folder, in the layouts that cameras are replayed from: imu.txt; or mav0/imu0, imu0,
 /// or imu0 beside the folder; with how the sensor errs, out of imu.yaml beside imu.txt or of imu0's sensor.yaml, where
-/// that is there. Error: no readings are there, or as above. Blocks.
+/// that is there; readings at the end of a range that it names are flagged. Error: no readings are there, or as above.
+/// Blocks.
 rt::Result<ImuRecord> read_imu_record(const std::string& folder);
 /// Of that how the sensor errs alone.
 rt::Result<ImuErrorModel> read_imu_record_errors(const std::string& folder);

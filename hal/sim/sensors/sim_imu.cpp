@@ -113,6 +113,7 @@ hal::ImuStatus SimImu::next(hal::ImuSample* sample, rt::TimeNs) {
     sample->gyro_rad_s[i] = measured(gyro, model_.gyro_range_rad_s, model_.quantise);
     sample->accel_m_s2[i] = measured(accel, model_.accel_range_m_s2, model_.quantise);
   }
+  sample->flags = hal::saturated_flags(*sample, model_.gyro_range_rad_s, model_.accel_range_m_s2);
   ++index_;
   return hal::ImuStatus::kSample;
 }
