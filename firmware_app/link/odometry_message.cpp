@@ -69,10 +69,13 @@ float to_float(double value) {
 
 }  // namespace
 
-std::int8_t pose_quality(const PoseSample& s) {
+std::int8_t pose_quality(const PoseSample& s, double turned_variance) {
   const auto mean = [](double a, double b, double c) { return std::max(0.0, (a + b + c) / 3); };
-  const double position = mean(s.covariance[0], s.covariance[7], s.covariance[14]) / (kHalfPosition * kHalfPosition);
-  const double angle = mean(s.covariance[21], s.covariance[28], s.covariance[35]) / (kHalfAngle * kHalfAngle);
+  const double swung = turned_variance * (s.position[0] * s.position[0] + s.position[1] * s.position[1]);
+  const double position =
+      mean(s.covariance[0], s.covariance[7], s.covariance[14] + swung) / (kHalfPosition * kHalfPosition);
+  const double angle =
+      mean(s.covariance[21], s.covariance[28], s.covariance[35] + turned_variance) / (kHalfAngle * kHalfAngle);
   const double velocity = mean(s.velocity_covariance[0], s.velocity_covariance[4], s.velocity_covariance[8]) /
                           (kHalfVelocity * kHalfVelocity);
   double quality = 100 * s.trust / (1 + position + angle + velocity);
@@ -124,7 +127,7 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
     rotated += s.heading_variance * turned * turned.transpose();
   }
   if (out.metric) {
-    out.quality = pose_quality(s);
+    out.quality = pose_quality(s, points_north(s, config) ? s.heading_variance : 0);
     out.position = L * (Eigen::Vector3d(s.position.data()) + arm);
     const Eigen::Vector3d velocity_world = Eigen::Vector3d(s.velocity.data()) + (R_world_cam * rates_cam).cross(arm);
     out.velocity = R_world_body.transpose() * velocity_world;

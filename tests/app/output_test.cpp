@@ -171,7 +171,8 @@ TEST(RunWriter, WritesALineForEveryPictureAndPosesForThoseThatHaveOne) {
   const auto poses = lines_of(read_file(folder / "out/pose.csv"));
   ASSERT_EQ(poses.size(), 4u) << "two tracked and one coasted";
   EXPECT_EQ(field(poses[0], poses[2], "state"), "COASTING");
-  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u + 9u + 21u + 1u + 22u) << "pose, reference, depth, what is inertial";
+  EXPECT_EQ(fields_of(poses[0]).size(), 11u + 21u + 9u + 21u + 1u + 22u + 6u)
+      << "pose, reference, depth, what is inertial, the earth";
   for (const std::string& line : poses) EXPECT_EQ(fields_of(line).size(), fields_of(poses[0]).size()) << line;
   EXPECT_EQ(field(poses[0], poses[1], "ref_id"), "0") << "no reference is told as none";
   EXPECT_EQ(field(poses[0], poses[1], "ref_t"), "");

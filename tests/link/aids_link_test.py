@@ -20,6 +20,7 @@ from checks import check, run_cases  # noqa: E402
 from emulated_autopilot import EmulatedAutopilot, Sniffer, mavlink  # noqa: E402
 from inertial_link_test import QUALITY_MIN  # noqa: E402
 from inertial_truth import Truth, by_speed, scale_and_ate  # noqa: E402
+from replay_link_test import rotation  # noqa: E402
 
 PICTURES, FPS = 450, 30
 START_S = 1000.0  # a simulated flight's first picture
@@ -81,7 +82,8 @@ class Aiding(EmulatedAutopilot):
             sigma = int(row["sigma_m"] * 1000)
             self.send(mavlink.MAVLink_gps_raw_int_message(
                 us, round(value * 3), int(row["y"] * metre * 1e7), int(row["x"] * metre * 1e7), int(row["z"] * 1000), 100, 100,
-                0, 0, 12, h_acc=sigma, v_acc=sigma))
+                round(100 * math.hypot(row["vx"], row["vy"])), round(100 * math.degrees(math.atan2(row["vx"], row["vy"]))) % 36000,
+                12, h_acc=sigma, v_acc=sigma, vel_acc=int(row["speed_sigma_m_s"] * 1000)))
 
     def spin(self, seconds):
         end = time.monotonic() + seconds
@@ -92,12 +94,12 @@ class Aiding(EmulatedAutopilot):
             self.node.spin(0.002)
 
 
-def fly(program, folder, lie=None, imu="replay"):
-    """Flies what was drawn into the folder: what godwitd said, its exit code, the fused samples, the autopilot."""
+def fly(program, folder, lie=None, imu="replay", north=False):
+    """north: the frame may turn to it, which nobody who compares a whole flight wants. Flies what was drawn into the folder: what godwitd said, its exit code, the fused samples, the autopilot."""
     config, said = os.path.join(folder, "c.toml"), os.path.join(folder, "said")
     open(config, "w").write('[camera]\nsource = "replay"\nsequence = "%s"\n[imu]\nsource = "%s"\n'
-                            '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\n' %
-                            (folder, imu, folder))
+                            '[detector]\nenabled = false\n[can]\nbus = "multicast:0"\n[link]\nstate_folder = "%s"\nnorth_by_satellites = %s\n' %
+                            (folder, imu, folder, str(north).lower()))
     sniffer, ap = Sniffer(0), Aiding(folder, lie) if lie else Aiding(folder)
     with open(said, "w") as log:
         process = subprocess.Popen([os.path.join(os.path.dirname(program), "godwitd"), "--config", config], stderr=log)
@@ -170,6 +172,29 @@ def main():
             check(not any(resets), "nothing of it is a reset: %s" % [r for r in resets if r])
             examine(truth, samples, ap, text)
 
+        def north():
+            print("satellites with their velocities: the frame turns to north, once")
+            text, code, samples, ap = fly(a.program, folder, north=True)
+            check(code == 0, "flies once and ends with 0 (%s)" % code)
+            good = [m for _, m in samples if m.quality >= QUALITY_MIN]
+            at = [i + 1 for i, (x, b) in enumerate(zip(good, good[1:])) if b.reset_counter != x.reset_counter]
+            check(0 < len(at) <= 3, "one reset, and few for what is learned of it later: %s of %d" % (at, len(good)))
+            pointed = good[at[-1]:] if at else []
+            check(len(pointed) > 60, "%d samples after it" % len(pointed))
+            if len(pointed) <= 60:
+                print(text)
+                return
+            t = by_speed(pointed, int((ap.begun - START_S) * 1e6), 1000000 // FPS, truth).t
+            # The receiver's east and north are the scenario's x and y.
+            noses = [truth.at(x)[1][:, 0] for x in t]
+            told = [rotation(m.q[1], m.q[2], m.q[3], m.q[0])[:, 0] for m in pointed]
+            off = np.array([math.remainder(math.atan2(b[1], b[0]) - math.atan2(n[0], n[1]), 2 * math.pi) for b, n in zip(told, noses)])
+            sigma = np.array([math.sqrt(m.pose_covariance[20]) for m in pointed])
+            print("      north known at %.1f s; off by %.2f degrees at the end, sigma told %.2f" %
+                  (t[0] - START_S, math.degrees(off[-1]), math.degrees(sigma[-1])))
+            check((np.abs(off) > 3 * sigma).mean() <= 0.01, "within three of its sigmas (%.1f at most)" % (np.abs(off) / sigma).max())
+            check(sigma.max() < math.radians(4), "which are worth something: %.2f degrees" % math.degrees(sigma.max()))
+
         def nonsense():
             print("a rangefinder whose stamps are 2 s old, a pressure in hPa, fixes of two dimensions, from the start")
 
@@ -208,7 +233,7 @@ def main():
             check(code == 0, "flies once and ends with 0 (%s)" % code)
             check(len(samples) > 400 and all(m.quality == -1 for _, m in samples),
                   "and without a vertical there are no metres: quality -1")
-        run_cases({"heard": heard, "faults": faults, "nonsense": nonsense, "attitude": attitude, "no_attitude": no_attitude},
+        run_cases({"heard": heard, "faults": faults, "north": north, "nonsense": nonsense, "attitude": attitude, "no_attitude": no_attitude},
                   a.only)
 
 
