@@ -64,7 +64,7 @@ LinkRunner::LinkRunner(const LinkRunnerOptions& options, std::unique_ptr<link::L
                        const std::atomic<bool>& user_stop)
     : options_(options),
       service_(std::move(service)),
-      sampler_(world_of_level_start(options.settings.link.odometry.R_body_cam)),
+      sampler_(world_of_level_start(options.settings.link.odometry.R_body_cam), options.settings.link.odometry.north),
       user_stop_(user_stop) {
   t_next_report_ns_ = rt::monotonic_now_ns() + options.report_ns;
   told_.bus_state = hal::CanState::kActive;

@@ -59,7 +59,7 @@ void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matr
 }
 
 void PoseSampler::tell_north(const FrameRecord& record, link::PoseSample* s) {
-  if (!record.metric || !record.earth.known) return;
+  if (!north_ || !record.metric || !record.earth.known) return;
   // From "from east towards north" to "clockwise from north".
   const double heading = M_PI / 2 - record.earth.heading;
   const double turned = std::abs(std::remainder(heading - heading_, 2 * M_PI));

@@ -19,7 +19,9 @@ Eigen::Matrix3d world_of_level_start(const Eigen::Matrix3d& R_body_cam);
 /// Remembers the last few poses. Tracker thread; no allocation.
 class PoseSampler {
  public:
-  explicit PoseSampler(const Eigen::Matrix3d& R_world_map) : R_world_map_(R_world_map) {}
+  /// north: where it becomes known it is told. Who does not turn to it is to hear of no jump either.
+  explicit PoseSampler(const Eigen::Matrix3d& R_world_map, bool north = true)
+      : R_world_map_(R_world_map), north_(north) {}
 
   /// Of a picture that is the one before, bit for bit, there is nothing to tell while the state stands: it claims a
   /// pose, and this frame has none. sample() is not to be given it.
@@ -43,6 +45,7 @@ class PoseSampler {
   void follow_correction(const FrameRecord& record, const Eigen::Matrix<double, 6, 6>& covariance);
 
   const Eigen::Matrix3d R_world_map_;
+  const bool north_;
   vo::VelocityFit fit_;
   bool has_last_ = false;
   rt::TimeNs t_last_ns_ = 0;

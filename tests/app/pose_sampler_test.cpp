@@ -126,6 +126,11 @@ TEST(PoseSampler, NorthIsToldAsAJumpOnceAndWhereItTurnsFar) {
   EXPECT_EQ(at(3, M_PI + 1e-3 - 2 * M_PI).reset_counter, first.reset_counter) << "the same heading";
   EXPECT_EQ(at(4, M_PI + 0.02).reset_counter, first.reset_counter + 1) << "0.4 m";
   EXPECT_EQ(at(5, M_PI + 0.02).reset_counter, first.reset_counter + 1);
+  PoseSampler unturned(world_of_level_start(mounting()), false);
+  FrameRecord r = record_at(6, {});
+  r.metric = r.earth.known = true;
+  EXPECT_FALSE(unturned.sample(r).heading_known);
+  EXPECT_EQ(unturned.sample(r).reset_counter, 0);
 }
 
 TEST(PoseSampler, WhereVisionAndInertialSensorDisagreeTheSigmasToldGrow) {
