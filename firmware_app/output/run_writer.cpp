@@ -58,7 +58,8 @@ std::string poses_header() {
   for (const char* what : {"gyro_bias", "accel_bias", "mounting"}) {
     for (const char axis : {'x', 'y', 'z'}) h += fmt::format(",{}_{}", what, axis);
   }
-  return h + ",time_offset,frame_id,trust,earth_heading,earth_heading_sigma,earth_x,earth_y,earth_z,earth_place_sigma\n";
+  return h +
+         ",time_offset,frame_id,trust,earth_heading,earth_heading_sigma,earth_x,earth_y,earth_z,earth_place_sigma\n";
 }
 
 /// What the mapper did before this frame was done; nothing where it did nothing.
