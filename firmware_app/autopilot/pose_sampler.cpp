@@ -59,20 +59,27 @@ void PoseSampler::follow_correction(const FrameRecord& record, const Eigen::Matr
 }
 
 void PoseSampler::tell_north(const FrameRecord& record, link::PoseSample* s) {
-  if (!north_ || !record.metric || !record.earth.known) return;
-  // From "from east towards north" to "clockwise from north".
-  const double heading = M_PI / 2 - record.earth.heading;
-  const double turned = std::abs(std::remainder(heading - heading_, 2 * M_PI));
-  const double moved = turned * std::hypot(record.t_world_cam[0], record.t_world_cam[1]);
-  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s->covariance.data());
-  if (!north_told_ || moved > std::max(3 * sigma_of(C, 0), kJumpPosition) ||
-      turned > std::max(3 * sigma_of(C, 3), kJumpAngle))
+  const EarthRecord& earth = record.earth;
+  const bool known = earth.known && std::isfinite(earth.heading) && std::isfinite(earth.heading_sigma);
+  if (!north_ || !record.metric || !(known || north_told_)) return;
+  // Of the x axis, "from east towards north" to "clockwise from north". Who forgets it does not turn the frame back.
+  const double heading = known ? M_PI / 2 - earth.heading : heading_;
+  const double sigma = known ? earth.heading_sigma : M_PI;
+  if (!north_told_ || std::abs(std::remainder(heading - heading_, 2 * M_PI)) > std::max(sigma, kJumpAngle)) {
+    const Eigen::Vector2d here(record.t_world_cam[0], record.t_world_cam[1]);
+    const Eigen::Vector2d told =
+        Eigen::Rotation2Dd(north_told_ ? -heading_ : 0) * here + Eigen::Vector2d(moved_by_.data());
+    Eigen::Map<Eigen::Vector2d>(moved_by_.data()) = told - Eigen::Rotation2Dd(-heading) * here;
+    turned_about_ = {here.x(), here.y()};
+    heading_ = heading;
+    north_told_ = true;
     ++jumps_;
-  north_told_ = true;
-  heading_ = heading;
+  }
   s->heading_known = true;
-  s->heading_rad = heading;
-  s->heading_variance = record.earth.heading_sigma * record.earth.heading_sigma;
+  s->heading_rad = heading_;
+  s->heading_variance = sigma * sigma + std::pow(std::remainder(heading - heading_, 2 * M_PI), 2);
+  s->north_about = turned_about_;
+  s->north_moved = moved_by_;
   s->reset_counter = jumps_;
 }
 

@@ -34,8 +34,9 @@ class PoseSampler {
   /// The reset counter goes up where a correction of the map moved the pose by more than the largest of 3 sigma, 5 cm
   /// and 1 degree. What it moved is no velocity. A new map has a new map id, which the link counts; metric records
   /// stand in a navigation frame that goes on through new maps, and its number takes that id's place. Less trust than 1
-  /// makes their sigmas larger, 1 / trust times. Where north has become known that is a jump, and so is a turn of it by
-  /// more than those.
+  /// makes their sigmas larger, 1 / trust times. Where north has become known the frame that is sent turns there, about
+  /// the camera, which is a jump; and again where north is known to be off by more than a degree and its sigma. Between
+  /// it stands.
   link::PoseSample sample(const FrameRecord& record);
 
  private:
@@ -53,7 +54,8 @@ class PoseSampler {
   std::uint32_t map_id_ = 0;
   std::uint8_t jumps_ = 0;
   bool north_told_ = false;
-  double heading_ = 0;  ///< told last [rad]
+  double heading_ = 0;  ///< by which the frame was turned last [rad]
+  std::array<double, 2> turned_about_{}, moved_by_{};
 };
 
 }  // namespace godwit::app

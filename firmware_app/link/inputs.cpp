@@ -15,6 +15,8 @@ constexpr double kMilli = 1e-3;
 constexpr std::uint64_t kDateUs = 1'000'000'000'000'000;
 /// A sigma or variance that is not told.
 constexpr double kUnknown = 0;
+/// A velocity less sure than this tells nothing [m/s].
+constexpr double kMostSpeedSigma = 10;
 
 bool all_finite(const AutopilotInput& input) {
   return std::all_of(input.value.begin(), input.value.end(), [](double v) { return std::isfinite(v); });
@@ -176,6 +178,9 @@ bool fill(const dronecan::Transfer& transfer, AutopilotInput* out) {
                     m.ned_velocity[1],
                     m.ned_velocity[0],
                     sigma[2]};
+      // Half precision's infinity, or no velocity: the place counts all the same.
+      if (!std::isfinite(out->value[6]) || !std::isfinite(out->value[7]) || !(sigma[2] < kMostSpeedSigma))
+        out->value[6] = out->value[7] = out->value[8] = 0;
       return std::abs(out->value[0]) <= 90 && std::abs(out->value[1]) <= 180;
     }
     case dronecan::RawImu::kType.id: {

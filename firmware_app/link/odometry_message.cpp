@@ -30,6 +30,11 @@ bool points_north(const PoseSample& s, const OdometryConfig& config) {
          std::isfinite(s.heading_variance) && s.heading_variance >= 0;
 }
 
+/// The place, from where the frame was turned to north.
+Eigen::Vector3d from_turn(const PoseSample& s) {
+  return {s.position[0] - s.north_about[0], s.position[1] - s.north_about[1], s.position[2]};
+}
+
 // World (z up) to the profile's local frame (z down).
 Eigen::Matrix3d local_from_world(const PoseSample& s, const OdometryConfig& config) {
   Eigen::Matrix3d frd = Eigen::Vector3d(1, -1, -1).asDiagonal();
@@ -71,11 +76,11 @@ float to_float(double value) {
 
 std::int8_t pose_quality(const PoseSample& s, double turned_variance) {
   const auto mean = [](double a, double b, double c) { return std::max(0.0, (a + b + c) / 3); };
-  const double swung = turned_variance * (s.position[0] * s.position[0] + s.position[1] * s.position[1]);
+  const double swung = turned_variance * from_turn(s).head<2>().squaredNorm() / 3;
   const double position =
-      mean(s.covariance[0], s.covariance[7], s.covariance[14] + swung) / (kHalfPosition * kHalfPosition);
+      (mean(s.covariance[0], s.covariance[7], s.covariance[14]) + swung) / (kHalfPosition * kHalfPosition);
   const double angle =
-      mean(s.covariance[21], s.covariance[28], s.covariance[35] + turned_variance) / (kHalfAngle * kHalfAngle);
+      (mean(s.covariance[21], s.covariance[28], s.covariance[35]) + turned_variance / 3) / (kHalfAngle * kHalfAngle);
   const double velocity = mean(s.velocity_covariance[0], s.velocity_covariance[4], s.velocity_covariance[8]) /
                           (kHalfVelocity * kHalfVelocity);
   double quality = 100 * s.trust / (1 + position + angle + velocity);
@@ -121,14 +126,15 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
   const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s.covariance.data());
   Eigen::Matrix<double, 6, 6> rotated = J * C * J.transpose();
   if (points_north(s, config)) {
-    // What north is off by turns all of it about the origin.
+    // What north is off by turns all of it about where it was turned.
     Eigen::Matrix<double, 6, 1> turned;
-    turned << Eigen::Vector3d::UnitZ().cross(L * (Eigen::Vector3d(s.position.data()) + arm)), Eigen::Vector3d::UnitZ();
+    turned << Eigen::Vector3d::UnitZ().cross(L * (from_turn(s) + arm)), Eigen::Vector3d::UnitZ();
     rotated += s.heading_variance * turned * turned.transpose();
   }
   if (out.metric) {
     out.quality = pose_quality(s, points_north(s, config) ? s.heading_variance : 0);
     out.position = L * (Eigen::Vector3d(s.position.data()) + arm);
+    if (points_north(s, config)) out.position += Eigen::Vector3d(s.north_moved[0], -s.north_moved[1], 0);
     const Eigen::Vector3d velocity_world = Eigen::Vector3d(s.velocity.data()) + (R_world_cam * rates_cam).cross(arm);
     out.velocity = R_world_body.transpose() * velocity_world;
     const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> V(s.velocity_covariance.data());

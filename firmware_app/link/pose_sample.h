@@ -28,9 +28,11 @@ struct PoseSample {
   std::uint16_t measurements = 0;  ///< image measurements that updated this pose
   double trust = 1;                ///< 0 to 1: whether what measures it agrees over time
   /// Of the world's x axis, clockwise from north [rad]; the pose and its covariance are along the world's axes all the
-  /// same.
+  /// same. The frame that is sent is turned to it about north_about, so that no place jumps there: turned about its
+  /// origin it is then moved by north_moved, along north and west [m].
   bool heading_known = false;
   double heading_rad = 0, heading_variance = 0;
+  std::array<double, 2> north_about{}, north_moved{};
 
   std::array<double, 3> position{};               ///< of the camera in the world [m]
   std::array<double, 4> orientation{1, 0, 0, 0};  ///< w x y z, camera to world

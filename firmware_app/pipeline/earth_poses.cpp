@@ -34,6 +34,10 @@ void EarthPoses::take(const hal::AidSample& s) {
 
 void EarthPoses::tell(FrameRecord* record) {
   if (!record->metric) return;
+  if (record->map_moved) {
+    const Eigen::Map<const Eigen::Vector3d> moved(record->moved_by.data());
+    georeference_.corrected(record->turned_by[2], moved.norm());
+  }
   if (record->tracked) georeference_.pose(place_of(*record));
   EarthRecord& earth = record->earth;
   earth.known = georeference_.known();

@@ -72,8 +72,7 @@ void fill_metric(const vo::NavigationPose& pose, FrameRecord* record) {
 vo::AidReading reading_of(const hal::AidSample& s, rt::TimeNs shift_ns) {
   constexpr std::array<vo::ScaleSource, hal::kLengthKinds> kSources = {
       vo::ScaleSource::kRange, vo::ScaleSource::kBarometer, vo::ScaleSource::kSatellites};
-  return {kSources[static_cast<std::size_t>(s.kind)], s.t_ns + shift_ns, Eigen::Vector3d(s.value.data()), s.sigma,
-          Eigen::Vector2d(s.velocity.data()),         s.velocity_sigma};
+  return {kSources[static_cast<std::size_t>(s.kind)], s.t_ns + shift_ns, Eigen::Vector3d(s.value.data()), s.sigma};
 }
 
 vo::AidReading start_reading(double height_m) {

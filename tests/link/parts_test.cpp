@@ -316,6 +316,16 @@ TEST(Inputs, PressureAndSatellitesAreThoseOfTheSensors) {
   EXPECT_NEAR(input.value[6], -2.5, 1e-6) << "eastwards";
   EXPECT_NEAR(input.value[7], 1.5, 1e-6);
   EXPECT_GT(input.value[8], 0);
+  // Half precision's infinity for the velocity's variances: the place counts all the same.
+  std::vector<std::uint8_t> unsure = packed;
+  for (std::size_t i = 0; i + 1 < unsure.size(); ++i) {
+    if (unsure[i] == 0x1f && unsure[i + 1] == 0x21) unsure[i] = 0x00, unsure[i + 1] = 0x7c;
+  }
+  ASSERT_NE(unsure, packed);
+  const dronecan::Transfer blurred{.type_id = dronecan::GnssFix2::kType.id, .source = 9, .payload = unsure};
+  ASSERT_TRUE(input_from_dronecan(blurred, &input));
+  EXPECT_EQ(input.value[8], 0);
+  EXPECT_NEAR(input.value[0], -47.39770005, 1e-9);
   // Cut anywhere: refused, or no place.
   for (std::size_t size = 0; size < 50; ++size) {
     const dronecan::Transfer cut{

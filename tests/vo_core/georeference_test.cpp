@@ -72,6 +72,7 @@ class Flown {
   }
   double heading_error(const Georeference& g) const { return std::remainder(g.heading() - heading_, 2 * M_PI); }
   void new_frame() { ++frame_id_; }
+  void turn_frame(double by) { heading_ += by; }
   void no_doppler() { doppler_ = false; }
 
  private:
@@ -132,6 +133,8 @@ TEST(Georeference, WhereSatellitesEndItStaysAndGrowsLessSureAsTheFrameDoes) {
   const double heading = g.heading(), sigma = g.heading_sigma();
   const Vec3 origin = g.origin_m();
   flown.fly(60, &g, false);
+  // By a millionth of a square radian in a second.
+  EXPECT_NEAR(std::pow(g.heading_sigma(), 2) - sigma * sigma, 60e-6, 15e-6);
   EXPECT_EQ(g.heading(), heading);
   EXPECT_EQ(g.origin_m(), origin);
   // They come back: the minute between is in it.
@@ -169,21 +172,85 @@ TEST(Georeference, AJumpOfTheReceiverIsRefusedAndOneThatStaysIsGivenUp) {
   EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
 }
 
-TEST(Georeference, AFrozenReceiverTurnsNothing) {
-  Flown flown(4);
+/// What a lie does to a north that is known: the largest error of what is told, and the largest in sigmas.
+struct Misled {
+  double most_rad = 0, most_sigmas = 0;
+  bool known = true;
+};
+template <typename Lie>
+Misled misled(unsigned seed, double seconds, Lie lie) {
+  Flown flown(seed);
   Georeference g;
   flown.fly(20, &g);
-  SatelliteFix frozen;
-  bool set = false;
-  flown.fly(3, &g, true, [&](SatelliteFix* f) {
-    const rt::TimeNs t_ns = f->t_ns;
-    if (!set) frozen = *f;
-    set = true;
-    *f = frozen;
-    f->t_ns = t_ns;
-  });
-  EXPECT_GT(g.refused(), 3U);
+  Misled out;
+  out.known = g.known();
+  const double begun = flown.t_s();
+  while (flown.t_s() < begun + seconds) {
+    flown.fly(0.2, &g, true, [&](SatelliteFix* f) { lie(flown.t_s() - begun, f); });
+    const double off = std::abs(flown.heading_error(g));
+    out.most_rad = std::max(out.most_rad, off);
+    out.most_sigmas = std::max(out.most_sigmas, off / g.heading_sigma());
+  }
+  return out;
+}
+
+TEST(Georeference, AFrozenReceiverTurnsNothing) {
+  for (const double seconds : {3.0, 10.0, 40.0}) {
+    SatelliteFix frozen;
+    const Misled m = misled(4, seconds, [&](double, SatelliteFix* f) {
+      const rt::TimeNs t_ns = f->t_ns;
+      if (frozen.t_ns == 0) frozen = *f;
+      *f = frozen;
+      f->t_ns = t_ns;
+    });
+    EXPECT_TRUE(m.known);
+    EXPECT_LT(m.most_sigmas, 4) << seconds;
+  }
+}
+
+// Turned at once, or so slowly that no fix contradicts the one before.
+TEST(Georeference, AReceiverThatLiesTurnsAKnownNorthByNoMoreThanItWasKnownTo) {
+  constexpr double kMost = 3.5 * 0.035;
+  for (const double turn : {0.5, 1.5, 3.1}) {
+    for (const bool places : {false, true}) {
+      const Misled m = misled(6, 60, [&](double, SatelliteFix* f) {
+        f->velocity_m_s = Eigen::Rotation2Dd(turn) * f->velocity_m_s;
+        if (places) f->place_m = so3_exp(Vec3(0, 0, turn)) * f->place_m;
+      });
+      EXPECT_TRUE(m.known);
+      EXPECT_LT(m.most_rad, kMost) << turn << (places ? ", places too" : "");
+    }
+  }
+  for (const double rate : {0.002, 0.01, 0.03}) {
+    const Misled m = misled(7, 60, [&](double t, SatelliteFix* f) {
+      f->velocity_m_s = Eigen::Rotation2Dd(rate * t) * f->velocity_m_s;
+      f->place_m = so3_exp(Vec3(0, 0, rate * t)) * f->place_m;
+    });
+    EXPECT_LT(m.most_rad, kMost) << rate;
+  }
+}
+
+TEST(Georeference, AfterAFrameThatTurnedWhileItWasBlindFixesAreBelievedAgain) {
+  Flown flown(8);
+  Georeference g;
+  flown.fly(20, &g);
+  flown.new_frame();
+  flown.turn_frame(2.1);
+  flown.fly(30, &g);
+  EXPECT_TRUE(g.known());
   EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
+  EXPECT_LT(g.heading_sigma(), 0.05);
+}
+
+TEST(Georeference, WhatACorrectionTurnedTheFrameByIsNotKnown) {
+  Flown flown(9);
+  Georeference g;
+  flown.fly(20, &g);
+  const double sigma = g.heading_sigma();
+  g.corrected(0.05, 0.5);
+  EXPECT_NEAR(g.heading_sigma(), std::hypot(sigma, 0.05), 1e-6);
+  g.corrected(std::numeric_limits<double>::quiet_NaN(), 0);
+  EXPECT_NEAR(g.heading_sigma(), std::hypot(sigma, 0.05), 1e-6);
 }
 
 TEST(Georeference, WhatIsNoNumberIsPassedOver) {

@@ -36,15 +36,6 @@ class Flown {
     r.sigma_m = source == ScaleSource::kSatellites ? 0.6 : 0.1;
     r.value_m = {p.x(), p.y(), p.z() * lie_};
     r.value_m += r.sigma_m * Vec3(noise(), noise(), noise());
-    if (doppler_ && source == ScaleSource::kSatellites) {
-      r.velocity_sigma_m_s = 0.1;
-      // A new error each second.
-      if (t - t_error_ >= 1) {
-        t_error_ = t;
-        error_ = r.velocity_sigma_m_s * Vec2(noise(), noise());
-      }
-      r.velocity_m_s = lie_ * Vec2(3, 0) + error_;
-    }
     if (!aids_.take(r)) ++refused_;
   }
   void picture(double t) { picture_at(t, in_map(place(t))); }
@@ -77,9 +68,7 @@ class Flown {
   std::mt19937 engine_;
   ScaleAids aids_;
   std::vector<Eigen::Vector3f> points_;
-  bool level_ = true, doppler_ = false;
-  double t_error_ = -10;
-  Vec2 error_ = Vec2::Zero();
+  bool level_ = true;
   double lie_ = 1;
   int refused_ = 0;
 };
@@ -106,30 +95,12 @@ TEST(ScaleAids, WithoutTheVerticalOnlyWaysTell) {
   }
 }
 
-TEST(ScaleAids, VelocitiesTellTheScaleSoonerThanPlaces) {
-  double off2 = 0, sigma = 0, sigma_without = 0;
-  constexpr int kFlights = 100;
-  for (unsigned seed = 1; seed <= kFlights; ++seed) {
-    Flown f(200 + seed), places(200 + seed);
-    f.doppler_ = true;
-    f.fly(ScaleSource::kSatellites, 10);
-    places.fly(ScaleSource::kSatellites, 10);
-    ASSERT_TRUE(f.aids_.state().known()) << seed;
-    off2 += std::pow(f.off() / f.aids_.state().log_sigma(), 2) / kFlights;
-    sigma += f.aids_.state().log_sigma() / kFlights;
-    sigma_without += places.aids_.state().log_sigma() / kFlights;
-  }
-  EXPECT_LT(sigma, 0.6 * sigma_without);
-  EXPECT_LT(off2, 1.5);
-}
-
 TEST(ScaleAids, ANoisyWayIsNotTakenForALongerOne) {
   // Over many flights: a way that counts as soon as its noise makes it long enough would be 6 % too long on average.
   double sum = 0;
   constexpr int kFlights = 200;
   for (unsigned seed = 1; seed <= kFlights; ++seed) {
     Flown f(100 + seed);
-    f.doppler_ = seed % 2 == 0;
     f.fly(ScaleSource::kSatellites, 25);
     sum += std::log(f.aids_.state().scale() / kScale);
   }

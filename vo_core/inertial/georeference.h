@@ -2,7 +2,9 @@
 // vertical and its place in the receiver's local frame. Nothing of it goes into the frame itself.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
@@ -33,83 +35,130 @@ struct NavigatedPlace {
 
 struct GeoreferenceOptions {
   /// A receiver's place errs by what wanders with the sky and with what reflects, and only little of it is new each
-  /// time: a first-order Gauss-Markov process of this time, and so much of its sigma as white noise. Slower is said to
-  /// be usual (minutes); faster counts ways as less sure than they are.
+  /// time: a first-order Gauss-Markov process of this time, and so much of its sigma as white noise. Not measured: the
+  /// simulator's is the same; real ones are said to be slower (minutes), which makes ways surer than they count here.
   rt::TimeNs wander_ns = 30 * rt::kNsPerSecond;
   double white_share = 0.3;
-  /// Its velocity, by Doppler shift, is smoothed by the receiver: one in so long is new.
+  /// Its velocity, by Doppler shift, is smoothed by the receiver: one in so long is new. Beside that it has an error of
+  /// this sigma that wanders as the place's does: in steady flight a wrong heading. Not measured: what a data sheet
+  /// (u-blox NEO-M8) says of the whole, once more.
   rt::TimeNs velocity_ns = rt::kNsPerSecond;
+  double velocity_bias_m_s = 0.05;
+  double least_velocity_sigma_m_s = 0.05, least_place_sigma_m = 0.3;  ///< whoever says less is not believed
+  /// What a receiver's stamps are late by and nobody says. In a steady turn that is a wrong heading. Not measured:
+  /// autopilots compensate 0.1 to 0.2 s.
+  double lag_s = 0.1;
   double arm_m = 0.15;             ///< antenna from camera: nobody says where it sits
   double begin_sigma_rad = 0.2;    ///< a first heading is worth something from here on: then a linear filter goes on
   double known_sigma_rad = 0.035;  ///< and it is told from here on: two degrees, what a good compass is worth
-  double place_limit2 = 16.3, velocity_limit2 = 13.8;  ///< sigmas squared, 3 and 2 degrees of freedom: one in 1,000
-  int contradictions = 25;  ///< so many fixes in a row beyond them: nobody knows who is wrong, it begins anew
-  /// A navigation frame that had to begin anew goes on where the last one ended, by no less than this
-  /// (NavigationOptions::broken_*).
+  /// Once known it moves no further than this, in its sigmas then and what vision strayed by since: who turns it on has
+  /// a receiver that lies, however slowly.
+  double most_moved = 3;
+  double contradicted_s = 5;  ///< fixes that contradict it for so long are not heard until they agree with it again
+  double level_limit2 = 13.8, height_limit2 = 10.8;  ///< sigmas squared, 2 and 1 degrees of freedom: one in 1,000
+  /// A navigation frame that had to begin anew goes on where the last one ended, and is told as sure as this
+  /// (NavigationOptions::broken_*). It may have turned further: fixes that agree among themselves are believed then.
   double broken_sigma_m = 5, broken_heading_rad = 0.35;
   rt::TimeNs gap_ns = 300 * rt::kNsPerMs;  ///< places between pictures further apart are not known
 };
 
-/// Extended Kalman filter of heading, place, and the receiver's wandering error. What vision strays by between two
-/// fixes, by its own covariance, is the process noise: where satellites end the heading stays and becomes less sure
-/// as the frame itself does. One thread; fixes and places each in the order of their times; no allocation.
+/// Extended Kalman filter of heading, place, and what the receiver's place and velocity are off by for a while. What
+/// vision strays by between two fixes, by its own covariance, is the process noise: where satellites end the heading
+/// stays and becomes less sure as the frame itself does. A heading that was known is never given up for another: fixes
+/// that contradict it for long begin one beside it, which is taken over only where it agrees with the one held. One
+/// thread; fixes and places each in the order of their times; no allocation.
 class Georeference {
  public:
   explicit Georeference(const GeoreferenceOptions& options = {}) : options_(options) {}
 
-  /// Kept until places around its time are known. False: no number, out of order, or no room; it is passed over.
+  /// Kept until places around its time are known; the oldest makes room. False: no number, absurd, out of order, or far
+  /// ahead of the pictures; it is passed over.
   bool take(const SatelliteFix& fix);
   void pose(const NavigatedPlace& place);
+  /// The frame's last pose was corrected: by so much less is known how the frame lies.
+  void corrected(double turned_rad, double moved_m);
 
   /// The heading was known to known_sigma_rad once. From then on it is told, with what sigma it has.
   bool known() const { return known_; }
-  double heading() const { return heading_; }  ///< of the frame's x axis, from east towards north [rad]
-  double heading_sigma() const { return std::sqrt(P_(kHeading, kHeading)); }
-  Vec3 origin_m() const { return place_ - turn() * reference_; }  ///< of the frame, where the receiver has it
-  /// One sigma of an axis, of where it has the camera now [m].
-  double place_sigma_m() const { return std::sqrt(P_.block<3, 3>(kPlace, kPlace).trace() / 3); }
+  double heading() const { return state().heading; }  ///< of the frame's x axis, from east towards north [rad]
+  /// With the last picture: what vision strayed by since the last fix is in it.
+  double heading_sigma() const;
+  /// Of the frame, where the receiver has it.
+  Vec3 origin_m() const { return state().place - turn_of(state().heading) * state().reference; }
+  /// One sigma of an axis, of where the receiver has the camera, with the last picture [m].
+  double place_sigma_m() const;
   std::uint64_t used() const { return used_; }
-  std::uint64_t refused() const { return refused_; }    ///< beyond the limits
-  std::uint64_t given_up() const { return given_up_; }  ///< how often it began anew for them
+  std::uint64_t refused() const { return refused_; }    ///< beyond the limits, in part at least
+  std::uint64_t given_up() const { return given_up_; }  ///< how often they contradicted for long
 
  private:
-  enum : Eigen::Index { kHeading = 0, kPlace = 1, kWander = 4, kSize = 7 };
+  enum : Eigen::Index { kHeading = 0, kPlace = 1, kWander = 4, kDrift = 7, kSize = 9 };
+  using MatN = Eigen::Matrix<double, kSize, kSize>;
   template <int N>
   using Rows = Eigen::Matrix<double, N, kSize>;
+  /// What is known with one fix.
+  struct State {
+    bool begun = false;
+    double heading = 0;
+    Vec3 place = Vec3::Zero();      ///< of reference, where the receiver has it
+    Vec3 reference = Vec3::Zero();  ///< in the navigation frame: where the camera was
+    Vec3 wander = Vec3::Zero();     ///< of the receiver's place
+    Vec2 drift = Vec2::Zero();      ///< of its velocity [m/s]
+    MatN P = MatN::Zero();
+    NavigatedPlace last;
+  };
+  /// Where the camera was at a fix, and how it moved [rad/s], [m/s^2].
+  struct Moment {
+    NavigatedPlace at;
+    double turn_rate = 0, acceleration = 0;
+  };
 
-  Mat3 turn() const { return so3_exp(Vec3(0, 0, heading_)); }
-  /// Where the camera was and how it moved; false: no two places are near enough around that time.
-  bool place_at(rt::TimeNs t_ns, NavigatedPlace* out, double* turn_rate) const;
-  void hear(const SatelliteFix& fix, const NavigatedPlace& at, double turn_rate);
-  bool begin_heading(const SatelliteFix& fix, const NavigatedPlace& at, double velocity_variance);
-  void advance(const NavigatedPlace& at);
-  /// How far the camera's place there is off by what the receiver says, and what that is made of.
-  double white_variance(const SatelliteFix& fix) const;
+  static Mat3 turn_of(double heading) { return so3_exp(Vec3(0, 0, heading)); }
+  const State& state() const { return suspended_ ? held_ : x_; }
+  /// False: no two places are near enough around that time.
+  bool moment_at(rt::TimeNs t_ns, Moment* out) const;
+  void new_frame(const NavigatedPlace& place);
+  void follow_course(const NavigatedPlace& before, const NavigatedPlace& now);
+  void hear(const SatelliteFix& fix, const Moment& m);
+  bool begin(const SatelliteFix& fix, const Moment& m, double velocity_variance);
+  void begin_at(const SatelliteFix& fix, const NavigatedPlace& at, double heading, double variance);
+  void advance(const SatelliteFix& fix, const NavigatedPlace& at);
+  /// Of what is new in each place told.
+  double white_variance(const SatelliteFix& fix, const NavigatedPlace& at) const;
   template <int N>
   bool update(const Eigen::Matrix<double, N, 1>& innovation, const Rows<N>& H, double variance, double limit2);
-  void contradicted();
+  bool weigh(const SatelliteFix& fix, const Moment& m, double velocity_variance);
+  /// Of the heading as it was first known.
+  bool within_reach(double heading) const;
+  void suspend(const State& held);
+  void take_over_if_it_agrees();
+  void know();
+  double seen_variance(const State& s, double NavigatedPlace::*variance) const {
+    return place_count_ > 0 ? std::max(0.0, places_[place_count_ - 1].*variance - s.last.*variance) : 0;
+  }
 
   const GeoreferenceOptions options_;
-  static constexpr std::size_t kWaiting = 16, kPlaces = 32;
+  static constexpr std::size_t kWaiting = 16, kPlaces = 64;
   std::array<SatelliteFix, kWaiting> waiting_;
   std::size_t waiting_count_ = 0;
   rt::TimeNs t_fix_ns_ = 0;                     ///< of the last one taken
   std::array<NavigatedPlace, kPlaces> places_;  ///< of the last pictures in this frame, oldest first
   std::size_t place_count_ = 0;
   std::uint32_t frame_id_ = 0;
+  double course_rate_ = 0;  ///< mean of the last half minute, signed [rad/s]
 
-  bool begun_ = false, known_ = false;
-  double heading_ = 0;
-  Vec3 place_ = Vec3::Zero();      ///< of reference_, where the receiver has it
-  Vec3 reference_ = Vec3::Zero();  ///< in the navigation frame: where the camera was with the last fix
-  Vec3 wander_ = Vec3::Zero();
-  Eigen::Matrix<double, kSize, kSize> P_ = Eigen::Matrix<double, kSize, kSize>::Zero();
-  NavigatedPlace last_;  ///< with the last fix
+  bool known_ = false;
+  bool broken_ = false;  ///< the frame began anew since: how far it turned meanwhile nobody knows
+  State x_;
+  bool suspended_ = false;  ///< held_ is told, and x_ has to agree with it first
+  State held_;
+  State first_known_;            ///< when the heading became known
+  double strayed_variance_ = 0;  ///< what vision's heading strayed by since then [rad^2]
   bool first_set_ = false;
   SatelliteFix first_;  ///< what a way is measured from, until the heading has begun
-  Vec3 first_place_ = Vec3::Zero();
-  rt::TimeNs t_velocity_ns_ = 0;
-  int contradictions_ = 0;
+  NavigatedPlace first_place_;
+  rt::TimeNs t_heard_ns_ = 0;         ///< of the last fix that was compared
+  rt::TimeNs t_contradicted_ns_ = 0;  ///< of the first one in a row that did not fit; 0: the last one did
   std::uint64_t used_ = 0, refused_ = 0, given_up_ = 0;
 };
 

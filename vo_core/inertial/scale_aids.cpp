@@ -11,8 +11,7 @@ bool ScaleAids::take_start(const AidReading& r) {
 }
 
 bool ScaleAids::take(const AidReading& r) {
-  const bool number = r.value_m.allFinite() && std::isfinite(r.sigma_m) && r.sigma_m >= 0 &&
-                      r.velocity_m_s.allFinite() && std::isfinite(r.velocity_sigma_m_s) && r.velocity_sigma_m_s >= 0;
+  const bool number = r.value_m.allFinite() && std::isfinite(r.sigma_m) && r.sigma_m >= 0;
   if (number && r.source == ScaleSource::kStartHeight) return take_start(r);
   rt::TimeNs* const t_last_ns = &t_read_ns_[scale_source_index(r.source)];
   if (!number || r.t_ns <= *t_last_ns || waiting_count_ == kWaiting) return false;
@@ -50,7 +49,6 @@ void ScaleAids::pose(const AidPose& pose) {
     map_id_ = pose.map_id;
     state_.new_map();
     moments_ = {};
-    speeds_.set = false;
     t_ground_ns_ = 0;
     place_count_ = 0;
   }
@@ -76,7 +74,6 @@ void ScaleAids::compare(const AidReading& r, const AidPose& pose, const Vec3& ca
     above_ground(r, pose, camera);
     return;
   }
-  compare_speeds(r, pose, camera);
   Moment* const from = &moments_[scale_source_index(r.source)];
   ScaleReading reading;
   if (from->set && r.t_ns - from->t_ns <= options_.longest_ns) {
@@ -109,49 +106,12 @@ bool ScaleAids::lengths(const AidReading& r, const AidPose& pose, const Vec3& ca
   out->t_ns = std::max(r.t_ns, t_told_ns_);
   out->metres_sigma = std::sqrt(variance);
   out->units_sigma = std::hypot(stray, options_.depth_share * pose.depth, options_.way_share * way.norm());
-  return long_enough(*out);
-}
-
-bool ScaleAids::long_enough(const ScaleReading& r) const {
-  // That is asked of vision where that can be told: who waits for a noisy length to become long takes it when its noise
-  // is long.
+  // Whether it is long enough is asked of vision where that can be told: who waits for a noisy length to become long
+  // takes it when its noise is long.
   const bool known = state_.known();
-  const double metres = known ? std::abs(r.units) * state_.scale() : std::abs(r.metres);
+  const double metres = known ? std::abs(out->units) * state_.scale() : std::abs(out->metres);
   const double share = known ? options_.share : options_.first_share;
-  return r.metres_sigma < share * metres && r.units_sigma < share * std::abs(r.units);
-}
-
-void ScaleAids::compare_speeds(const AidReading& r, const AidPose& pose, const Vec3& camera) {
-  if (r.source != ScaleSource::kSatellites || !(r.velocity_sigma_m_s > 0)) return;
-  const AidReading last = last_speed_;
-  last_speed_ = r;
-  const bool whole = last.velocity_sigma_m_s > 0 && r.t_ns - last.t_ns <= options_.velocity_ns;
-  if (whole) flown_m_ += 0.5 * rt::to_seconds(r.t_ns - last.t_ns) * (last.velocity_m_s + r.velocity_m_s);
-  const auto begin = [&] {
-    speeds_ = {true, r.t_ns, Vec3(flown_m_.x(), flown_m_.y(), 0), camera, r.velocity_sigma_m_s};
-  };
-  if (!whole || !speeds_.set || pose.up.isZero() || r.t_ns - speeds_.t_ns > options_.longest_ns) {
-    begin();
-    return;
-  }
-  const Vec3 way = camera - speeds_.camera, level = way - pose.up.dot(way) * pose.up;
-  const double told = (flown_m_ - speeds_.value_m.head<2>()).norm();
-  const double sigma = std::max(r.velocity_sigma_m_s, speeds_.sigma_m);
-  const double variance = sigma * sigma * rt::to_seconds(r.t_ns - speeds_.t_ns) * rt::to_seconds(options_.velocity_ns) +
-                          options_.arm_m * options_.arm_m;
-  ScaleReading reading;
-  reading.source = r.source;
-  reading.t_ns = std::max(r.t_ns, t_told_ns_);
-  // Noise makes a length longer, by the axis across it.
-  reading.metres = std::sqrt(std::max(0.0, told * told - variance));
-  reading.metres_sigma = std::sqrt(variance);
-  reading.units = level.norm();
-  reading.units_sigma =
-      std::hypot(pose.up_sigma * pose.up.dot(way), options_.depth_share * pose.depth, options_.way_share * way.norm());
-  if (!long_enough(reading)) return;
-  state_.take(reading);
-  t_told_ns_ = reading.t_ns;
-  begin();
+  return out->metres_sigma < share * metres && out->units_sigma < share * std::abs(out->units);
 }
 
 bool ScaleAids::height_above_ground(const AidPose& pose, const Vec3& camera, double* units) const {
@@ -190,7 +150,6 @@ void ScaleAids::above_start(const AidPose& pose) {
 
 void ScaleAids::correct_map(const MapCorrection& c) {
   for (Moment& m : moments_) m.camera = c.moved(m.t_ns, m.camera);
-  speeds_.camera = c.moved(speeds_.t_ns, speeds_.camera);
   start_.camera = c.moved(start_.t_ns, start_.camera);
   for (std::size_t i = 0; i < place_count_; ++i) places_[i].camera = c.moved(places_[i].t_ns, places_[i].camera);
 }

@@ -21,9 +21,6 @@ struct AidReading {
   /// begins; told before it does. [m]
   Vec3 value_m = Vec3::Zero();
   double sigma_m = 0;  ///< one sigma of an axis
-  /// Satellites, by Doppler shift: level, along the frame's x and y; sigma of each [m/s], 0: not told.
-  Vec2 velocity_m_s = Vec2::Zero();
-  double velocity_sigma_m_s = 0;
 };
 
 /// What vision and the inertial sensor know of one picture.
@@ -49,9 +46,6 @@ struct ScaleAidsOptions {
   /// The air's pressure as a height wanders [m/sqrt(s)]: 20 Pa within five minutes.
   double pressure_walk = 0.13;
   double arm_m = 0.15;  ///< antenna from camera: nobody says where it sits
-  /// A receiver smooths its velocity: one in so long has a new error. Between readings further apart than that the way
-  /// is not known.
-  rt::TimeNs velocity_ns = rt::kNsPerSecond;
   /// Height above ground by vision: this quantile of how far below the camera its points lie, lowest last, and what
   /// that is wrong by as a share, one sigma: a bound. In the simulated street it was within 5 % of the true scale.
   double ground_quantile = 0.8, ground_share = 0.1;
@@ -101,9 +95,6 @@ class ScaleAids {
   void compare(const AidReading& reading, const AidPose& pose, const Vec3& camera);
   bool lengths(const AidReading& reading, const AidPose& pose, const Vec3& camera, const Moment& from,
                ScaleReading* out) const;
-  /// The way that the receiver's velocities add up to.
-  void compare_speeds(const AidReading& reading, const AidPose& pose, const Vec3& camera);
-  bool long_enough(const ScaleReading& reading) const;
   void above_ground(const AidReading& reading, const AidPose& pose, const Vec3& camera);
 
   const ScaleAidsOptions options_;
@@ -112,9 +103,6 @@ class ScaleAids {
   std::size_t waiting_count_ = 0;
   std::array<rt::TimeNs, kScaleSources> t_read_ns_{};
   std::array<Moment, kScaleSources> moments_;
-  AidReading last_speed_;        ///< velocity_sigma_m_s 0: there is none
-  Vec2 flown_m_ = Vec2::Zero();  ///< by velocities, since any moment
-  Moment speeds_;                ///< value_m: flown_m_ then
   rt::TimeNs t_ground_ns_ = 0;
   /// The configured height above ground, until it was compared; where the first map began.
   Moment start_;
