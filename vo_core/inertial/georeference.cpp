@@ -9,7 +9,7 @@ constexpr rt::TimeNs kFirstKept = 120 * rt::kNsPerSecond;    // a way since long
 constexpr rt::TimeNs kCourseMemory = 30 * rt::kNsPerSecond;  // as long as what wanders
 constexpr double kLeastSpeed = 1;                            // [m/s]: who is slower has no course
 
-double square(double x) {
+double squared(double x) {
   return x * x;
 }
 
@@ -24,7 +24,7 @@ double angle(const Vec2& from, const Vec2& to) {
 
 /// Variance of the angle between two that should be of one length [rad^2]; 1: they are not.
 double angle_variance(const Vec2& seen, const Vec2& told, double variance) {
-  if (!(square(seen.norm() - told.norm()) < 9 * variance)) return 1;
+  if (!(squared(seen.norm() - told.norm()) < 9 * variance)) return 1;
   return variance / std::max(seen.squaredNorm(), 1e-12);
 }
 
@@ -69,8 +69,8 @@ void Georeference::new_frame(const NavigatedPlace& place) {
   if (frame_id_ != 0) {
     broken_ = known_;
     for (State* const s : {&x_, &held_, &first_known_}) {
-      s->P(kHeading, kHeading) += square(options_.broken_heading_rad);
-      s->P.diagonal().segment<3>(kPlace).array() += square(options_.broken_sigma_m);
+      s->P(kHeading, kHeading) += squared(options_.broken_heading_rad);
+      s->P.diagonal().segment<3>(kPlace).array() += squared(options_.broken_sigma_m);
       s->last = place;
     }
   }
@@ -115,15 +115,15 @@ void Georeference::pose(const NavigatedPlace& place) {
 void Georeference::corrected(double turned_rad, double moved_m) {
   if (!std::isfinite(turned_rad) || !std::isfinite(moved_m)) return;
   for (State* const s : {&x_, &held_, &first_known_}) {
-    s->P(kHeading, kHeading) += square(turned_rad);
-    s->P.diagonal().segment<3>(kPlace).array() += square(moved_m) / 3;
+    s->P(kHeading, kHeading) += squared(turned_rad);
+    s->P.diagonal().segment<3>(kPlace).array() += squared(moved_m) / 3;
   }
 }
 
 double Georeference::heading_sigma() const {
   const State& s = state();
   return std::sqrt(s.P(kHeading, kHeading) + seen_variance(s, &NavigatedPlace::heading_variance) +
-                   square(options_.lag_s * course_rate_));
+                   squared(options_.lag_s * course_rate_));
 }
 
 double Georeference::place_sigma_m() const {
@@ -132,8 +132,8 @@ double Georeference::place_sigma_m() const {
 }
 
 double Georeference::white_variance(const SatelliteFix& fix, const NavigatedPlace& at) const {
-  return square(options_.white_share * fix.place_sigma_m) + square(options_.arm_m) +
-         square(options_.lag_s) * at.velocity_m_s.squaredNorm() / 3;
+  return squared(options_.white_share * fix.place_sigma_m) + squared(options_.arm_m) +
+         squared(options_.lag_s) * at.velocity_m_s.squaredNorm() / 3;
 }
 
 // The heading that a velocity shows, or a way; the surer of both once it is worth something.
@@ -144,7 +144,7 @@ bool Georeference::begin(const SatelliteFix& fix, const Moment& m, double veloci
     first_place_ = m.at;
   }
   const double apart_s = rt::to_seconds(fix.t_ns - first_.t_ns), wander_s = rt::to_seconds(options_.wander_ns);
-  const double strayed = square(fix.place_sigma_m) * (1 - std::exp(-apart_s / wander_s));
+  const double strayed = squared(fix.place_sigma_m) * (1 - std::exp(-apart_s / wander_s));
   const Vec2 way = (m.at.T_nav_cam.t - first_place_.T_nav_cam.t).head<2>();
   const Vec2 way_told = (fix.place_m - first_.place_m).head<2>();
   const double by_way = angle_variance(
@@ -153,10 +153,10 @@ bool Georeference::begin(const SatelliteFix& fix, const Moment& m, double veloci
   const Vec2 speed = m.at.velocity_m_s.head<2>();
   const double by_speed =
       fix.velocity_sigma_m_s > 0
-          ? angle_variance(speed, fix.velocity_m_s, velocity_variance + square(options_.velocity_bias_m_s))
+          ? angle_variance(speed, fix.velocity_m_s, velocity_variance + squared(options_.velocity_bias_m_s))
           : 1;
   const double variance = std::min(by_way, by_speed);
-  if (!(variance < square(options_.begin_sigma_rad))) return false;
+  if (!(variance < squared(options_.begin_sigma_rad))) return false;
   begin_at(fix, m.at, by_speed < by_way ? angle(speed, fix.velocity_m_s) : angle(way, way_told), variance);
   return true;
 }
@@ -170,12 +170,12 @@ void Georeference::begin_at(const SatelliteFix& fix, const NavigatedPlace& at, d
   x_.last = at;
   x_.P(kHeading, kHeading) = variance;
   // The place is what was told less what it wanders by, of which nothing is known.
-  const double wander = square(fix.place_sigma_m);
+  const double wander = squared(fix.place_sigma_m);
   x_.P.diagonal().segment<3>(kPlace).setConstant(wander + white_variance(fix, at));
   x_.P.diagonal().segment<3>(kWander).setConstant(wander);
   x_.P.block<3, 3>(kPlace, kWander).diagonal().setConstant(-wander);
   x_.P.block<3, 3>(kWander, kPlace).diagonal().setConstant(-wander);
-  x_.P.diagonal().segment<2>(kDrift).setConstant(square(options_.velocity_bias_m_s));
+  x_.P.diagonal().segment<2>(kDrift).setConstant(squared(options_.velocity_bias_m_s));
 }
 
 // The camera's place becomes the reference: what vision strays by turns and moves what comes after it, not before.
@@ -195,8 +195,8 @@ void Georeference::advance(const SatelliteFix& fix, const NavigatedPlace& at) {
   x_.reference = at.T_nav_cam.t;
   x_.P(kHeading, kHeading) += std::max(0.0, at.heading_variance - x_.last.heading_variance);
   x_.P.diagonal().segment<3>(kPlace).array() += std::max(0.0, at.place_variance - x_.last.place_variance);
-  x_.P.diagonal().segment<3>(kWander).array() += fresh * square(fix.place_sigma_m);
-  x_.P.diagonal().segment<2>(kDrift).array() += fresh * square(options_.velocity_bias_m_s);
+  x_.P.diagonal().segment<3>(kWander).array() += fresh * squared(fix.place_sigma_m);
+  x_.P.diagonal().segment<2>(kDrift).array() += fresh * squared(options_.velocity_bias_m_s);
   x_.last = at;
 }
 
@@ -243,7 +243,7 @@ bool Georeference::weigh(const SatelliteFix& fix, const Moment& m, double veloci
 
 bool Georeference::within_reach(double heading) const {
   const double variance = first_known_.P(kHeading, kHeading) + strayed_variance_;
-  return broken_ || square(turned_by(heading, first_known_.heading)) < square(options_.most_moved) * variance;
+  return broken_ || squared(turned_by(heading, first_known_.heading)) < squared(options_.most_moved) * variance;
 }
 
 void Georeference::suspend(const State& held) {
@@ -268,8 +268,8 @@ void Georeference::know() {
 void Georeference::take_over_if_it_agrees() {
   const double candidate = x_.P(kHeading, kHeading);
   const double variance = held_.P(kHeading, kHeading) + seen_variance(held_, &NavigatedPlace::heading_variance);
-  if (candidate < square(options_.known_sigma_rad) && within_reach(x_.heading) &&
-      square(turned_by(x_.heading, held_.heading)) < 9 * (variance + candidate))
+  if (candidate < squared(options_.known_sigma_rad) && within_reach(x_.heading) &&
+      squared(turned_by(x_.heading, held_.heading)) < 9 * (variance + candidate))
     suspended_ = false;
 }
 
@@ -278,9 +278,9 @@ void Georeference::hear(const SatelliteFix& fix, const Moment& m) {
   const double apart_s = t_heard_ns_ > 0 ? rt::to_seconds(fix.t_ns - t_heard_ns_) : 0;
   const double repeats = apart_s > 0 ? std::max(1.0, rt::to_seconds(options_.velocity_ns) / apart_s) : 1;
   t_heard_ns_ = fix.t_ns;
-  const double swung = square(options_.arm_m * m.turn_rate), late = square(options_.lag_s * m.acceleration);
+  const double swung = squared(options_.arm_m * m.turn_rate), late = squared(options_.lag_s * m.acceleration);
   const double velocity_variance =
-      repeats * (square(fix.velocity_sigma_m_s) + swung + late) + std::max(0.0, m.at.velocity_variance);
+      repeats * (squared(fix.velocity_sigma_m_s) + swung + late) + std::max(0.0, m.at.velocity_variance);
   if (!x_.begun) {
     if (begin(fix, m, velocity_variance)) ++used_;
     return;
@@ -294,8 +294,8 @@ void Georeference::hear(const SatelliteFix& fix, const Moment& m) {
   }
   t_contradicted_ns_ = 0;
   ++used_;
-  const double now = x_.P(kHeading, kHeading) + square(options_.lag_s * course_rate_);
-  if ((!known_ || broken_) && now < square(options_.known_sigma_rad)) know();
+  const double now = x_.P(kHeading, kHeading) + squared(options_.lag_s * course_rate_);
+  if ((!known_ || broken_) && now < squared(options_.known_sigma_rad)) know();
   if (suspended_) {
     take_over_if_it_agrees();
   } else if (known_ && !within_reach(x_.heading)) {
