@@ -39,8 +39,9 @@ struct Channels {
   /// Frames between feeder and tracker. Small: a frame that waits here grows old.
   static constexpr std::size_t kFrameRing = 8;
   /// Finished frames that the collector has not taken. Replay as fast as it goes: the feeder stops at half of it, so
-  /// that it never overflows. Real pace: what finds it full is lost and counted.
-  static constexpr std::size_t kRecordRing = 256;
+  /// that it never overflows. Real pace: what finds it full, after four seconds at 30 pictures a second in which the
+  /// collector took nothing, is lost and counted. A record is 2.7 kB, and there are two such rings.
+  static constexpr std::size_t kRecordRing = 128;
 
   explicit Channels(bool at_real_pace) : real_pace(at_real_pace) {}
 
