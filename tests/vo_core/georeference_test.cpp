@@ -89,6 +89,12 @@ class Flown {
   std::uint32_t frame_id_ = 1;
 };
 
+void expect_found(const Flown& flown, const Georeference& g) {
+  EXPECT_TRUE(g.known());
+  EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
+  EXPECT_LT(g.heading_sigma(), 0.05);
+}
+
 TEST(Georeference, HeadingAndPlaceAreFoundAsSurelyAsIsSaid) {
   double heading2 = 0, place2 = 0;
   constexpr int kFlights = 60;
@@ -153,8 +159,7 @@ TEST(Georeference, ANewFrameIsNoSurerThanWhatBrokeTheOldOne) {
   EXPECT_GT(g.heading_sigma(), 0.3);
   EXPECT_GT(g.place_sigma_m(), 4);
   flown.fly(10, &g);
-  EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
-  EXPECT_LT(g.heading_sigma(), 0.05);
+  expect_found(flown, g);
 }
 
 TEST(Georeference, AJumpOfTheReceiverIsRefusedAndOneThatStaysIsGivenUp) {
@@ -237,9 +242,7 @@ TEST(Georeference, AfterAFrameThatTurnedWhileItWasBlindFixesAreBelievedAgain) {
   flown.new_frame();
   flown.turn_frame(2.1);
   flown.fly(30, &g);
-  EXPECT_TRUE(g.known());
-  EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
-  EXPECT_LT(g.heading_sigma(), 0.05);
+  expect_found(flown, g);
 }
 
 TEST(Georeference, WhatACorrectionTurnedTheFrameByIsNotKnown) {
