@@ -1,6 +1,7 @@
 #include "vo_core/features/feature_align.h"
 
 #include <Eigen/LU>
+#include <array>
 
 #include "vo_core/image/patch.h"
 
@@ -127,12 +128,17 @@ FeatureAlignResult align_dims(const rt::ImageView& image, const AlignTemplate& p
         so = hn::Add(r, so);
       }
     }
-    const auto sum = [&](auto v) { return hn::GetLane(hn::SumOfLanes(df, v)); };
-    Eigen::Matrix<float, kN, 1> b;
-    b(0) = sum(s0);
-    if constexpr (kDims == 2) b(1) = sum(s1);
-    b(kDims) = sum(si);
-    b(kDims + 1) = sum(so);
+    const hn::FixedTag<float, 4> d4;
+    alignas(16) std::array<float, 4> sums;
+    float rr;
+    if constexpr (kDims == 2) {
+      hn::Store(sums_of_lanes(s0, s1, si, so), d4, sums.data());
+      rr = hn::GetLane(hn::SumOfLanes(df, srr));
+    } else {
+      hn::Store(sums_of_lanes(s0, si, so, srr), d4, sums.data());
+      rr = sums[3];
+    }
+    const Eigen::Map<const Eigen::Matrix<float, kN, 1>> b(sums.data());
     const Eigen::Matrix<float, kN, 1> x = H_inv * b;
     // The reference moved by x matches the picture here, so the picture's patch lies x further back.
     const float g = std::max(gain, 1 / kMaxGain);
@@ -142,7 +148,7 @@ FeatureAlignResult align_dims(const rt::ImageView& image, const AlignTemplate& p
     else
       step = x(0) / g * prepared.direction;
     // Residual that is left when this step is taken: r^T r - b^T x.
-    const float left = std::max(sum(srr) - b.dot(x), 0.0f);
+    const float left = std::max(rr - b.dot(x), 0.0f);
     gain += x(kDims);
     offset += x(kDims + 1);
     p -= step;

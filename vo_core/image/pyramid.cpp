@@ -1,6 +1,7 @@
 #include "vo_core/image/pyramid.h"
 
 #include <cassert>
+#include <hwy/cache_control.h>
 #include <hwy/highway.h>
 
 namespace godwit::vo {
@@ -44,6 +45,8 @@ void half_sample(const rt::ImageView& src, const rt::MutableImageView& dst) {
     return hn::ShiftRight<2>(hn::Add(hn::Add(even, odd), two));
   };
 
+  // The picture has just come and lies in no cache near by; which rows are next the processor does not guess in time.
+  const std::ptrdiff_t ahead = std::ptrdiff_t{4} * src.stride;
   for (int y = 0; y < dst.height; ++y) {
     const std::uint8_t* top = src.row(2 * y);
     const std::uint8_t* bottom = src.row(2 * y + 1);
@@ -53,6 +56,8 @@ void half_sample(const rt::ImageView& src, const rt::MutableImageView& dst) {
       continue;
     }
     for (int x = 0;;) {
+      hwy::Prefetch(top + 2 * x + ahead);
+      hwy::Prefetch(bottom + 2 * x + ahead);
       const auto low = block_mean(top + 2 * x, bottom + 2 * x);
       const auto high = block_mean(top + 2 * x + lanes, bottom + 2 * x + lanes);
       hn::StoreU(hn::ConcatEven(d8, hn::BitCast(d8, high), hn::BitCast(d8, low)), d8, out + x);
