@@ -118,9 +118,13 @@ void tell(const RunWriter& writer, const std::string& folder, bool inertial) {
         inertial ? "beside the" : "without an", 100 * s.aided_log_sigma, 100 * s.aid_share[0], 100 * s.aid_share[1],
         100 * s.aid_share[2], 100 * s.aid_share[3]);
   }
-  if (s.earth.known) {
-    fmt::print("north by satellites: the frame's x axis heads {:.1f} degrees from north, sigma {:.1f}\n",
-               std::fmod(450 - s.earth.heading * 180 / M_PI, 360.0), s.earth.heading_sigma * 180 / M_PI);
+  if (s.earth.fixes > 0) {
+    fmt::print("north by satellites: {}{}; of {} fixes {} used, {} refused\n", north_word(s.earth),
+               s.earth.known ? fmt::format(", the frame's x axis heads {:.1f} degrees from north, sigma {:.1f}",
+                                           std::fmod(450 - s.earth.heading * 180 / M_PI, 360.0),
+                                           s.earth.heading_sigma * 180 / M_PI)
+                             : "",
+               s.earth.fixes, s.earth.fixes_used, s.earth.fixes_refused);
   }
   if (lost > 0) {
     fmt::print("{} pictures were not flown: {} bad, {} dropped\n", lost, s.counters.bad,

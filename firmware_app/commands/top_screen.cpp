@@ -63,6 +63,9 @@ rt::Result<std::string> top_screen(std::string_view line, std::size_t columns) {
   add(fmt::format("quality      {}  trust {}  metric {}", words(j, "quality"), words(j, "trust", 2),
                   words(j, "metric")));
   add(fmt::format("position     {}", place(j)));
+  add(fmt::format("north        {}  sigma {}  fixes {}  used {}  refused {}", words(j, "north"),
+                  words(j, "north_sigma_deg", 1), words(j, "fixes"), words(j, "fixes_used"),
+                  words(j, "fixes_refused")));
   add(fmt::format("rates        {} pictures/s  {} poses/s  last picture {} s ago", words(j, "pictures_hz", 1),
                   words(j, "poses_hz", 1), words(j, "last_frame_s", 2)));
   add(fmt::format("frames       {}  tracked {}  not flown {}", words(j, "frames"), words(j, "tracked"),

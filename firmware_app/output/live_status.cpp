@@ -103,6 +103,12 @@ std::string LiveStatus::snapshot(rt::TimeNs now_ns) {
                                             number(r.t_world_cam[2], 1e-4)}
                                      : Json();
   j["position_sigma"] = any_ && r.has_pose ? number(place_sigma(r), 1e-4) : Json();
+  const bool earth = any_ && r.earth.fixes > 0;
+  j["north"] = earth ? Json(north_word(r.earth)) : Json();
+  j["north_sigma_deg"] = earth && r.earth.known ? number(r.earth.heading_sigma * 180 / M_PI, 0.1) : Json();
+  j["fixes_used"] = earth ? Json(r.earth.fixes_used) : Json();
+  j["fixes_refused"] = earth ? Json(r.earth.fixes_refused) : Json();
+  j["fixes"] = earth ? Json(r.earth.fixes) : Json();
   j["features"] = any_ ? Json(r.features) : Json();
   j["keyframes"] = any_ ? Json(mapping_.keyframes) : Json();
   j["points"] = any_ ? Json(mapping_.points) : Json();

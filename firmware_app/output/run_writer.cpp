@@ -120,7 +120,7 @@ rt::Result<void> RunWriter::take(const FrameRecord& r) {
     }
     ++tracked_;
     inertial_ = r.inertial;
-    if (r.earth.known) earth_ = r.earth;
+    if (r.metric) earth_ = r.earth;
     maps_ = std::max(maps_, r.map_id);
     ms_.push_back(ms);
     thread_cpu_ms_.push_back(thread_cpu_ms);

@@ -38,7 +38,7 @@ struct RunSummary {
   /// (vo::ScaleSource).
   double aided_log_sigma = 0;
   std::array<double, vo::kScaleSources> aid_share{};
-  EarthRecord earth;  ///< the last that was known
+  EarthRecord earth;  ///< of the last tracked frame in metres
 };
 
 /// Writes line by line while the run goes on; the files get their names in finish(), summary.json last, so a folder
@@ -76,7 +76,7 @@ class RunWriter final : public FrameSink {
   bool with_age_ = false;
   vo::State state_ = vo::State::kInitialising;  ///< of the last processed frame: what holds while pictures are missing
   InertialRecord inertial_;                     ///< of the last tracked frame
-  EarthRecord earth_;                           ///< the last that was known
+  EarthRecord earth_;                           ///< of the last tracked frame in metres
   PipelineCounters counters_;
   PipelineCounters pipeline_;  ///< as set_pipeline() was told
   std::uint64_t tracked_ = 0;

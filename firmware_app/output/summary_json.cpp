@@ -65,6 +65,17 @@ Json of(const ImuCounters& c) {
           {"implausible", c.implausible}, {"dropped", c.dropped},     {"silences", c.silences}};
 }
 
+Json of(const EarthRecord& e) {
+  Json j = {
+      {"north", north_word(e)}, {"fixes", e.fixes}, {"fixes_used", e.fixes_used}, {"fixes_refused", e.fixes_refused}};
+  if (!e.known) return j;
+  j["heading_deg"] = fine(e.heading * 180 / M_PI);
+  j["heading_sigma_deg"] = fine(e.heading_sigma * 180 / M_PI);
+  j["origin_m"] = e.origin_m;
+  j["place_sigma_m"] = fine(e.place_sigma_m);
+  return j;
+}
+
 Json of(const ThreadReport& t) {
   return {{"name", t.name},
           {"minor_faults", t.faults.minor},
@@ -114,12 +125,7 @@ std::string summary_json(const RunDescription& d, const RunSummary& s, const Pip
     constexpr std::array<const char*, vo::kScaleSources> kNames = {"range", "baro", "gnss", "starting_height"};
     for (std::size_t i = 0; i < s.aid_share.size(); ++i) j["aids"][kNames[i]] = fine(s.aid_share[i]);
   }
-  if (s.earth.known) {
-    j["earth"] = {{"heading_deg", fine(s.earth.heading * 180 / M_PI)},
-                  {"heading_sigma_deg", fine(s.earth.heading_sigma * 180 / M_PI)},
-                  {"origin_m", s.earth.origin_m},
-                  {"place_sigma_m", fine(s.earth.place_sigma_m)}};
-  }
+  if (s.earth.fixes > 0) j["earth"] = of(s.earth);
   j["records_lost"] = pipeline.records_lost;
   j["threads"] = Json::array();
   for (const ThreadReport& t : pipeline.threads) j["threads"].push_back(of(t));

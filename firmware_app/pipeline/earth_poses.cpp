@@ -28,6 +28,7 @@ vo::NavigatedPlace place_of(const FrameRecord& r) {
 
 void EarthPoses::take(const hal::AidSample& s) {
   if (s.kind != hal::AidKind::kSatellites) return;
+  ++fixes_;
   georeference_.take(
       {s.t_ns, Eigen::Vector3d(s.value.data()), s.sigma, Eigen::Vector2d(s.velocity.data()), s.velocity_sigma});
 }
@@ -41,6 +42,11 @@ void EarthPoses::tell(FrameRecord* record) {
   if (record->tracked) georeference_.pose(place_of(*record));
   EarthRecord& earth = record->earth;
   earth.known = georeference_.known();
+  earth.held = georeference_.held();
+  earth.broken = georeference_.broken();
+  earth.fixes = fixes_;
+  earth.fixes_used = static_cast<std::uint32_t>(georeference_.used());
+  earth.fixes_refused = static_cast<std::uint32_t>(georeference_.refused());
   if (!earth.known) return;
   earth.heading = georeference_.heading();
   earth.heading_sigma = georeference_.heading_sigma();

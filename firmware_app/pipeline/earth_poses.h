@@ -17,6 +17,7 @@ class EarthPoses {
 
  private:
   vo::Georeference georeference_;
+  std::uint32_t fixes_ = 0;
 };
 
 }  // namespace godwit::app

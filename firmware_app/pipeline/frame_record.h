@@ -90,12 +90,23 @@ struct InertialRecord {
 
 /// How the navigation frame lies on the earth, as satellites told while they lasted (vo_core/inertial/georeference.h).
 struct EarthRecord {
-  bool known = false;  ///< the rest means something
+  bool known = false;                 ///< heading, origin and their sigmas mean something
+  bool held = false, broken = false;  ///< as vo::Georeference says
+  /// All that came; of those what was compared and fitted, and what contradicted. The rest came before a heading
+  /// showed, between pictures too far apart, or was no fix.
+  std::uint32_t fixes = 0, fixes_used = 0, fixes_refused = 0;
   /// Of the frame's x axis, from east towards north [rad].
   double heading = 0, heading_sigma = 0;
   std::array<double, 3> origin_m{};  ///< of the frame in the receiver's local frame (east, north, up)
   double place_sigma_m = 0;          ///< an axis, of where the receiver's frame has the camera
 };
+
+/// One word for how sure north is.
+constexpr const char* north_word(const EarthRecord& e) {
+  if (!e.known) return "unknown";
+  if (e.broken) return "broken";
+  return e.held ? "held" : "known";
+}
 
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
 struct FrameRecord {

@@ -216,6 +216,37 @@ TEST(RunWriter, AtRealPaceTheAgeOfAPoseIsTold) {
   EXPECT_EQ(nlohmann::json::parse(read_file(folder / "summary.json"))["age_ms"]["median"], 3.0);
 }
 
+TEST(RunWriter, WhatBecameOfTheFixesIsInTheSummary) {
+  const auto told = [](const EarthRecord& earth, bool metric) {
+    const TempFolder folder;
+    RunWriter writer;
+    EXPECT_TRUE(writer.open(folder.path(), false).ok());
+    FrameRecord r = tracked_frame(0);
+    r.metric = metric;
+    r.earth = earth;
+    EXPECT_TRUE(writer.take(r).ok());
+    EXPECT_TRUE(writer.finish({}).ok());
+    return nlohmann::json::parse(read_file(folder / "summary.json"))["earth"];
+  };
+  EarthRecord earth;
+  EXPECT_TRUE(told(earth, true).is_null()) << "none came";
+  earth.fixes = 9;
+  earth.fixes_refused = 2;
+  EXPECT_EQ(told(earth, true),
+            nlohmann::json::parse(R"({"north": "unknown", "fixes": 9, "fixes_used": 0, "fixes_refused": 2})"));
+  EXPECT_TRUE(told(earth, false).is_null()) << "without metres";
+  earth.known = true;
+  earth.heading = M_PI / 2;
+  earth.fixes_used = 7;
+  EXPECT_EQ(told(earth, true)["north"], "known");
+  EXPECT_EQ(told(earth, true)["heading_deg"], 90);
+  EXPECT_EQ(told(earth, true)["fixes_used"], 7);
+  earth.held = true;
+  EXPECT_EQ(told(earth, true)["north"], "held");
+  earth.broken = true;
+  EXPECT_EQ(told(earth, true)["north"], "broken") << "what is held is no surer than that";
+}
+
 TEST(RunWriter, ARunWithoutAnyPoseHasASummaryToo) {
   const TempFolder folder;
   RunWriter writer;

@@ -68,6 +68,28 @@ TEST(LiveStatus, TellsTheFlightAsItIs) {
   EXPECT_FALSE(j["metric"].get<bool>());
 }
 
+TEST(LiveStatus, WhatBecameOfTheFixes) {
+  LiveStatus status({"1", {}, nullptr});
+  FrameRecord r = frame(0);
+  status.frame(r);
+  EXPECT_TRUE(told(&status)["north"].is_null()) << "none came";
+  r.earth.fixes = 9;
+  status.frame(r);
+  EXPECT_EQ(told(&status)["north"], "unknown");
+  EXPECT_TRUE(told(&status)["north_sigma_deg"].is_null());
+  r.earth.known = r.earth.held = true;
+  r.earth.heading_sigma = 0.0175;
+  r.earth.fixes_used = 5;
+  r.earth.fixes_refused = 3;
+  status.frame(r);
+  const Json j = told(&status);
+  EXPECT_EQ(j["north"], "held");
+  EXPECT_NEAR(j["north_sigma_deg"].get<double>(), 1.0, 1e-9);
+  EXPECT_EQ(j["fixes"], 9);
+  EXPECT_EQ(j["fixes_used"], 5);
+  EXPECT_EQ(j["fixes_refused"], 3);
+}
+
 TEST(LiveStatus, TheLastEventsAndTheRung) {
   LiveStatus status({"1", {}, nullptr});
   EXPECT_EQ(told(&status)["rung"], "full");

@@ -80,6 +80,10 @@ class Georeference {
 
   /// The heading was known to known_sigma_rad once. From then on it is told, with what sigma it has.
   bool known() const { return known_; }
+  /// Fixes contradict it, or did and have not agreed with it since: what was known is told.
+  bool held() const { return suspended_; }
+  /// The frame began anew and nothing has shown since how far it turned.
+  bool broken() const { return broken_; }
   double heading() const { return state().heading; }  ///< of the frame's x axis, from east towards north [rad]
   /// With the last picture: what vision strayed by since the last fix is in it.
   double heading_sigma() const;
