@@ -129,6 +129,7 @@ link::PoseSample PoseSampler::sample(const FrameRecord& record) {
     for (double& variance : s.velocity_covariance) variance *= inflation;
     s.motion = record.motion;
     for (double& variance : s.motion.covariance) variance *= inflation;
+    s.heading_variance *= inflation;
   } else if (s.has_velocity) {
     // Positions on end share what the map is off by: between them only each frame's own noise counts.
     const double own_sigma = sigma_of(world_covariance(record.own_covariance, R_world_cam), 0);

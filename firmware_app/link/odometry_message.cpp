@@ -30,9 +30,20 @@ bool points_north(const PoseSample& s, const OdometryConfig& config) {
          std::isfinite(s.heading_variance) && s.heading_variance >= 0;
 }
 
-/// The place, from where the frame was turned to north.
-Eigen::Vector3d from_turn(const PoseSample& s) {
-  return {s.position[0] - s.north_about[0], s.position[1] - s.north_about[1], s.position[2]};
+using Covariance = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+
+/// Along the world's axes, as it is in the frame that is sent. Where that points north the heading is off by what north
+/// is off by, and by no more: what the camera's own heading strayed by, as far as north does not know of it, is in
+/// there. It turns all of it about where the frame was turned.
+Covariance sent_covariance(const PoseSample& s, const OdometryConfig& config) {
+  constexpr int kHeading = 5;
+  Covariance C = Eigen::Map<const Covariance>(s.covariance.data());
+  if (!points_north(s, config)) return C;
+  C.row(kHeading).setZero();
+  C.col(kHeading).setZero();
+  Eigen::Matrix<double, 6, 1> turned;
+  turned << s.north_about[1] - s.position[1], s.position[0] - s.north_about[0], 0, Eigen::Vector3d::UnitZ();
+  return C + s.heading_variance * turned * turned.transpose();
 }
 
 // World (z up) to the profile's local frame (z down).
@@ -74,13 +85,11 @@ float to_float(double value) {
 
 }  // namespace
 
-std::int8_t pose_quality(const PoseSample& s, double turned_variance) {
+std::int8_t pose_quality(const PoseSample& s, const OdometryConfig& config) {
   const auto mean = [](double a, double b, double c) { return std::max(0.0, (a + b + c) / 3); };
-  const double swung = turned_variance * from_turn(s).head<2>().squaredNorm() / 3;
-  const double position =
-      (mean(s.covariance[0], s.covariance[7], s.covariance[14]) + swung) / (kHalfPosition * kHalfPosition);
-  const double angle =
-      (mean(s.covariance[21], s.covariance[28], s.covariance[35]) + turned_variance / 3) / (kHalfAngle * kHalfAngle);
+  const Covariance C = sent_covariance(s, config);
+  const double position = mean(C(0, 0), C(1, 1), C(2, 2)) / (kHalfPosition * kHalfPosition);
+  const double angle = mean(C(3, 3), C(4, 4), C(5, 5)) / (kHalfAngle * kHalfAngle);
   const double velocity = mean(s.velocity_covariance[0], s.velocity_covariance[4], s.velocity_covariance[8]) /
                           (kHalfVelocity * kHalfVelocity);
   double quality = 100 * s.trust / (1 + position + angle + velocity);
@@ -123,16 +132,9 @@ BodyPose body_pose(const PoseSample& s, const OdometryConfig& config) {
   J.topLeftCorner<3, 3>() = L;
   J.topRightCorner<3, 3>() = -L * skew(arm);
   J.bottomRightCorner<3, 3>() = L;
-  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> C(s.covariance.data());
-  Eigen::Matrix<double, 6, 6> rotated = J * C * J.transpose();
-  if (points_north(s, config)) {
-    // What north is off by turns all of it about where it was turned.
-    Eigen::Matrix<double, 6, 1> turned;
-    turned << Eigen::Vector3d::UnitZ().cross(L * (from_turn(s) + arm)), Eigen::Vector3d::UnitZ();
-    rotated += s.heading_variance * turned * turned.transpose();
-  }
+  const Eigen::Matrix<double, 6, 6> rotated = J * sent_covariance(s, config) * J.transpose();
   if (out.metric) {
-    out.quality = pose_quality(s, points_north(s, config) ? s.heading_variance : 0);
+    out.quality = pose_quality(s, config);
     out.position = L * (Eigen::Vector3d(s.position.data()) + arm);
     if (points_north(s, config)) out.position += Eigen::Vector3d(s.north_moved[0], -s.north_moved[1], 0);
     const Eigen::Vector3d velocity_world = Eigen::Vector3d(s.velocity.data()) + (R_world_cam * rates_cam).cross(arm);

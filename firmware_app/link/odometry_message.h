@@ -56,9 +56,7 @@ BodyPose body_pose(const PoseSample& sample, const OdometryConfig& config);
 /// 1 to 100 for a usable pose: 100 / (1 + (position / 3 m)^2 + (angle / 5 deg)^2 + (velocity / 0.5 m/s)^2) of the
 /// sigmas of an axis (root mean square of the three), times the sample's trust, half of it while coasting. It falls as
 /// any variance grows (docs/navigation.md).
-///
-/// turned_variance: what north is off by, where the frame points there [rad^2].
-std::int8_t pose_quality(const PoseSample& sample, double turned_variance = 0);
+std::int8_t pose_quality(const PoseSample& sample, const OdometryConfig& config = {});
 
 /// The message. time_usec is the capture time on our clock; the autopilot maps it by TIMESYNC or by the smallest delay.
 mavlink::Odometry odometry_message(const BodyPose& pose, const OdometryConfig& config, rt::TimeNs t_capture_ns,

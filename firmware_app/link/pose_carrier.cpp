@@ -38,6 +38,8 @@ bool PoseCarrier::carry(const PoseSample& from, rt::TimeNs t_ns, PoseSample* out
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(out->covariance.data()) = camera.covariance;
   Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(out->velocity_covariance.data()) =
       camera.velocity_covariance;
+  // The heading from north has grown by as much as that in the frame.
+  out->heading_variance += std::max(0.0, out->covariance.back() - from.covariance.back());
   return true;
 }
 

@@ -31,6 +31,8 @@ struct PoseSample {
   /// same. The frame that is sent is turned to it about north_about, so that no place jumps there: turned about its
   /// origin it is then moved by north_moved, along north and west [m].
   bool heading_known = false;
+  /// The variance is of the camera's heading from north, all that vision strayed by in it: not to be added to the
+  /// covariance's, which is of the heading from where the frame began.
   double heading_rad = 0, heading_variance = 0;
   std::array<double, 2> north_about{}, north_moved{};
 

@@ -150,6 +150,8 @@ TEST(PoseSampler, WhereVisionAndInertialSensorDisagreeTheSigmasToldGrow) {
   FrameRecord r = record_at(0, cruise(0.3));
   r.metric = true;
   r.velocity_covariance = {1e-4, 1e-5, 2e-5, 4e-4, 3e-5, 9e-4};
+  r.earth.known = true;
+  r.earth.heading_sigma = 0.01;
   const link::PoseSample trusted = sampler.sample(r);
   ASSERT_GT(trusted.covariance[0], 0);
   r.trust = 0.25;
@@ -157,6 +159,7 @@ TEST(PoseSampler, WhereVisionAndInertialSensorDisagreeTheSigmasToldGrow) {
   EXPECT_EQ(doubted.trust, 0.25);
   for (std::size_t i = 0; i < 36; ++i) EXPECT_DOUBLE_EQ(doubted.covariance[i], 16 * trusted.covariance[i]) << i;
   EXPECT_DOUBLE_EQ(doubted.velocity_covariance[5], 16 * 3e-5);
+  EXPECT_DOUBLE_EQ(doubted.heading_variance, 16e-4) << "which takes the place of the heading's in there";
   for (const double nothing : {0.0, -1.0, 1e-9}) {
     r.trust = nothing;
     EXPECT_DOUBLE_EQ(sampler.sample(r).covariance[0], 100 * trusted.covariance[0]);

@@ -1,5 +1,6 @@
 #include "firmware_app/link/odometry_message.h"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <gtest/gtest.h>
 #include <limits>
@@ -163,6 +164,33 @@ TEST(BodyPose, WhereNorthIsKnownTheFramePointsThereInBothProfiles) {
   config.north = true;
   s.heading_rad = std::numeric_limits<double>::quiet_NaN();
   EXPECT_LT((body_pose(s, config).position - plain.position).norm(), 1e-12) << "no number, no north";
+}
+
+// What vision strayed by since the frame began is not what north is off by: a frame of an hour whose north was found a
+// minute ago. What it strayed by since is in north's.
+TEST(BodyPose, WhereTheFramePointsNorthTheHeadingIsAsSureAsNorthIs) {
+  Random random;
+  for (int i = 0; i < 50; ++i) {
+    OdometryConfig config;
+    config.R_body_cam = random.rotation();
+    config.t_body_cam = random.vector(0.5);
+    PoseSample s = random_sample(random);
+    s.heading_known = true;
+    s.heading_rad = random.number(3);
+    s.heading_variance = 4e-4;
+    s.north_about = {s.position[0] - 3, s.position[1] - 4};
+    const BodyPose out = body_pose(s, config);
+    EXPECT_NEAR(out.covariance(5, 5), s.heading_variance, 1e-12);
+    EXPECT_GT(Eigen::SelfAdjointEigenSolver<Mat6>(out.covariance).eigenvalues().minCoeff(), 0);
+    // The same by hand: mean variances of place and angle, five metres from where the frame was turned.
+    PoseSample plain = s;
+    plain.heading_known = false;
+    plain.covariance[35] = s.heading_variance;
+    for (const std::size_t axis : {0, 7}) plain.covariance[axis] += s.heading_variance * 25 / 2;
+    EXPECT_EQ(out.quality, body_pose(plain, config).quality);
+    config.north = false;
+    EXPECT_NEAR(body_pose(s, config).covariance(5, 5), s.covariance[35], 1e-12) << "the frame's own";
+  }
 }
 
 // Velocity of the body's origin against the difference quotient of its position.

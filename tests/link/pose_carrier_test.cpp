@@ -192,7 +192,9 @@ TEST(PoseCarrier, TheCovarianceGrowsFromThePictureOn) {
   EXPECT_EQ(carrier.reaches(from), 0) << "nothing is heard yet";
   carrier.hear();
   EXPECT_EQ(carrier.reaches(from), from.t_capture_ns + 100 * kMs);
-  double last = 0;
+  from.heading_known = true;
+  from.heading_variance = 1e-4;
+  double last = 0, last_heading = from.heading_variance;
   for (rt::TimeNs t = from.t_capture_ns; t <= from.t_capture_ns + 100 * kMs; t += 10 * kMs) {
     PoseSample there;
     ASSERT_TRUE(carrier.carry(from, t, &there));
@@ -200,7 +202,10 @@ TEST(PoseCarrier, TheCovarianceGrowsFromThePictureOn) {
     EXPECT_GT(there.covariance[0] + there.covariance[7] + there.covariance[14], last);
     last = there.covariance[0] + there.covariance[7] + there.covariance[14];
     EXPECT_LE(pose_quality(there), pose_quality(from));
+    EXPECT_GE(there.heading_variance, last_heading);
+    last_heading = there.heading_variance;
   }
+  EXPECT_GT(last_heading, from.heading_variance);
   PoseSample there;
   EXPECT_FALSE(carrier.carry(from, from.t_capture_ns + 101 * kMs, &there)) << "beyond the horizon";
   EXPECT_FALSE(carrier.carry(from, from.t_capture_ns - 1, &there));
