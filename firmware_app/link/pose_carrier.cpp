@@ -3,14 +3,14 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 
+#include "firmware_app/link/imu_reading.h"
+
 namespace godwit::link {
 
 void PoseCarrier::hear() {
   hal::ImuSample sample;
   for (std::size_t i = 0; i < ReadingRing::capacity() && readings_->pop(&sample); ++i) {
-    if (!hal::possible(sample)) continue;
-    buffer_.add({sample.t_ns, vo::Vec3(sample.gyro_rad_s.data()), vo::Vec3(sample.accel_m_s2.data()),
-                 (sample.flags & hal::kImuGyroSaturated) != 0, (sample.flags & hal::kImuAccelSaturated) != 0});
+    if (hal::possible(sample)) buffer_.add(imu_reading(sample, sample.t_ns));
   }
 }
 

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
+#include "firmware_app/link/imu_reading.h"
 #include "firmware_app/pipeline/inertial_options.h"
 #include "firmware_app/pipeline/metric_record.h"
 
@@ -63,9 +64,7 @@ InertialPoses::InertialPoses(const std::array<double, 16>& T_body_cam, rt::TimeN
 
 void InertialPoses::take(const hal::ImuSample& s) {
   if (!hal::possible(s)) return;
-  const vo::ImuReading reading{pace_.lay(s.t_ns), Eigen::Vector3d(s.gyro_rad_s.data()),
-                               Eigen::Vector3d(s.accel_m_s2.data()), (s.flags & hal::kImuGyroSaturated) != 0,
-                               (s.flags & hal::kImuAccelSaturated) != 0};
+  const vo::ImuReading reading = link::imu_reading(s, pace_.lay(s.t_ns));
   odometry_->add(reading);
   navigation_->add(reading);
 }
