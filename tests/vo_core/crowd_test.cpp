@@ -145,6 +145,33 @@ TEST(Crowd, WhereTheMotionGoesOnAPoseIsToldThoughItsPictureSaysLittle) {
   EXPECT_TRUE(alone.frames[kFree + 2].tracked) << alone.frames[kFree + 2].reason;
 }
 
+TEST(Crowd, BetweenMoversTheMotionTellsAtMostHalfOfWhatIsWanted) {
+  // A camera that sweeps as evenly as it did, and hardly a point: its motion says more than they do.
+  auto order = shots({{0, kFree, 0.0}, {kFree + 1, kFree + 1, 0.5}});
+  order.back().blur = 12;
+  TrackerOptions options;
+  options.health.min_measurements = options.least_beside_prior;
+  options.motion.acceleration = 0.05;
+  options.motion.turn_acceleration = 0.15;
+  const auto told = [&](double wanted) {
+    options.told = wanted;
+    return fly(order, options).frames.back();
+  };
+  // Both together, from where half of what is wanted is more than the motion has.
+  const FrameResult all = told(1e4);
+  ASSERT_FALSE(all.tracked);
+  ASSERT_STREQ(all.reason, "too little speaks for the pose [nats]");
+  ASSERT_GT(all.reason_value, TrackerOptions{}.told);
+  const double wanted = all.reason_value - 1;
+  const FrameResult half = told(wanted);
+  ASSERT_FALSE(half.tracked) << "they have as much together";
+  EXPECT_LT(half.reason_value, wanted - 5);
+  const double by_points = half.reason_value - 0.5 * wanted;
+  EXPECT_GT(by_points, 2);
+  EXPECT_LT(by_points, all.reason_value - by_points) << "else this proves nothing";
+  EXPECT_TRUE(told(2 * by_points - 2).tracked) << "where they have the other half it is told";
+}
+
 TEST(Crowd, BetweenMoversOnlyPointsThatWereRightBeforeProveAPose) {
   const auto order = shots({{0, kFree + 9, 0.0}});
   TrackerOptions options;

@@ -122,6 +122,40 @@ TEST(Initializer, AClimbFromAPlaneSaysHowUncertainItIs) {
   expect_good_map(init, SyntheticScene::plane(), shots[r.frames - 1]->T_cam_world, 5.0, 0.4);
 }
 
+constexpr int kAhead = 11;
+/// Straight at the slanted plane, which looks as if it were not slanted and the camera went towards it aslant; then
+/// aside, which tells.
+SE3 ahead_then_aside(int frame) {
+  const int ahead = std::min(frame, kAhead), aside = frame - ahead;
+  return {Mat3::Identity(), Vec3(-0.035 * aside, 0.01 * aside, -0.02 * ahead)};
+}
+
+TEST(Initializer, WhereAnotherMotionCostsHardlyMoreTheFirstMapWaitsForOneThatTells) {
+  static const Shots shots = shoot(SyntheticScene::plane(), 24, ahead_then_aside);
+  Initializer init(camera(), {});
+  int ambiguous = 0;
+  InitReport report;
+  std::size_t frames = 0;
+  while (frames < shots.size() && report.status != InitStatus::kDone) {
+    report = init.add_frame(shots[frames++]->pyramid.view(), {});
+    if (report.ambiguity > InitializerOptions{}.max_ambiguity) ++ambiguous;
+    if (frames <= kAhead) ASSERT_NE(report.status, InitStatus::kDone) << frames;
+    if (frames == kAhead) EXPECT_EQ(report.status, InitStatus::kAmbiguous);
+  }
+  EXPECT_GE(ambiguous, 2);
+  ASSERT_EQ(report.status, InitStatus::kDone);
+  EXPECT_LE(report.ambiguity, InitializerOptions{}.max_ambiguity);
+  expect_good_map(init, SyntheticScene::plane(), shots[frames - 1]->T_cam_world);
+  // Who does not wait takes the wrong one.
+  InitializerOptions hasty;
+  hasty.max_ambiguity = 1;
+  Initializer without(camera(), hasty);
+  const Outcome r = run(&without, shots);
+  ASSERT_EQ(r.report.status, InitStatus::kDone);
+  EXPECT_LE(r.frames, static_cast<std::size_t>(kAhead));
+  EXPECT_GT(scenes::direction_error_deg(without.T_cur_ref(), shots[r.frames - 1]->T_cam_world), 10);
+}
+
 TEST(Initializer, PureRotationIsRefused) {
   for (const SyntheticScene& scene : {SyntheticScene::general(), SyntheticScene::plane()}) {
     const auto shots =
