@@ -20,13 +20,18 @@ class Flown {
   explicit Flown(unsigned seed, double heading = 2.1) : engine_(seed), heading_(heading) {}
 
   double t_s() const { return rt::to_seconds(t_ns_) - 1; }
-  Vec3 place() const {
-    const double t = std::max(0.0, t_s() - 4);
-    return {3 * t, 6 * std::sin(0.2 * t), std::min(15.0, 2 * t_s())};
+  Vec3 place(double late_s = 0) const {
+    const double t_s = this->t_s() - late_s, t = std::max(0.0, t_s - 4);
+    if (circled_s_ < 0) return {3 * t, 6 * std::sin(0.2 * t), std::min(15.0, 2 * t_s)};
+    const double course = kCircle * std::min(t_s, circled_s_);
+    const Vec3 circled = kSpeed / kCircle * Vec3(std::sin(course), 1 - std::cos(course), 0);
+    return circled + std::max(0.0, t_s - circled_s_) * velocity(late_s);
   }
-  Vec3 velocity() const {
-    const double t = t_s() - 4, out = t > 0 ? 1 : 0, up = t_s() < 7.5 ? 1 : 0;
-    return {3 * out, 1.2 * std::cos(0.2 * t) * out, 2 * up};
+  Vec3 velocity(double late_s = 0) const {
+    const double t_s = this->t_s() - late_s, t = t_s - 4, out = t > 0 ? 1 : 0, up = t_s < 7.5 ? 1 : 0;
+    if (circled_s_ < 0) return {3 * out, 1.2 * std::cos(0.2 * t) * out, 2 * up};
+    const double course = kCircle * std::min(t_s, circled_s_);
+    return kSpeed * Vec3(std::cos(course), std::sin(course), 0);
   }
   Mat3 turn() const { return so3_exp(Vec3(0, 0, heading_)); }
   Vec3 told_place(const Vec3& nav) const { return turn() * nav + origin_; }
@@ -48,10 +53,10 @@ class Flown {
     begun_ = true;
     SatelliteFix f;
     f.t_ns = t_ns_;
-    f.place_m = told_place(place()) + wander_ + 0.1 * noise();
+    f.place_m = told_place(place(late_s_)) + wander_ + 0.1 * noise();
     f.place_sigma_m = sigma_;
     if (k_ / kPicturesAFix % 5 == 0) doppler_error_ = 0.1 * noise().head<2>();
-    f.velocity_m_s = (turn() * velocity()).head<2>() + doppler_error_;
+    f.velocity_m_s = (turn() * velocity(late_s_)).head<2>() + doppler_error_;
     f.velocity_sigma_m_s = doppler_ ? 0.1 : 0;
     return f;
   }
@@ -74,13 +79,17 @@ class Flown {
   void new_frame() { ++frame_id_; }
   void turn_frame(double by) { heading_ += by; }
   void no_doppler() { doppler_ = false; }
+  /// From the beginning, at height, for so long; then straight on.
+  void circle(double seconds) { circled_s_ = seconds; }
+  void late(double seconds) { late_s_ = seconds; }
+  static constexpr double kSpeed = 10, kCircle = 0.2;  // [m/s, rad/s]
 
  private:
   Vec3 noise() { return {normal_(engine_), normal_(engine_), normal_(engine_)}; }
 
   std::mt19937 engine_;
   std::normal_distribution<double> normal_;
-  double heading_, sigma_ = 0.6;
+  double heading_, sigma_ = 0.6, circled_s_ = -1, late_s_ = 0;
   Vec3 origin_{120, -40, 7}, wander_ = Vec3::Zero();
   Vec2 doppler_error_ = Vec2::Zero();
   bool begun_ = false, doppler_ = true;
@@ -175,6 +184,43 @@ TEST(Georeference, AJumpOfTheReceiverIsRefusedAndOneThatStaysIsGivenUp) {
   EXPECT_EQ(g.given_up(), 1U);
   EXPECT_TRUE(g.known());
   EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma());
+}
+
+// Late stamps turn all velocities of a steady circle alike, and its places with them.
+TEST(Georeference, HowLateAReceiverIsIsInTheHeadingOfASteadyCircleAndStaysThere) {
+  const GeoreferenceOptions o;
+  double off2 = 0;
+  constexpr int kFlights = 20;
+  for (unsigned seed = 1; seed <= kFlights; ++seed) {
+    Flown flown(seed);
+    flown.circle(60);
+    flown.late(o.lag_s);
+    Georeference g;
+    flown.fly(60, &g);
+    ASSERT_TRUE(g.known()) << seed;
+    EXPECT_GT(g.heading_sigma(), 0.9 * o.lag_s * Flown::kCircle) << seed;
+    off2 += std::pow(flown.heading_error(g) / g.heading_sigma(), 2) / kFlights;
+    const double sigma = g.heading_sigma();
+    flown.fly(40, &g, false);
+    EXPECT_GT(g.heading_sigma(), sigma) << "flying straight on without a fix mends nothing";
+  }
+  EXPECT_GT(off2, 0.5);
+  EXPECT_LT(off2, 1.5);
+}
+
+TEST(Georeference, HowLateAReceiverIsShowsWhereTheTurnEnds) {
+  for (unsigned seed = 1; seed <= 20; ++seed) {
+    Flown flown(seed);
+    flown.circle(20);
+    flown.late(0.25);
+    Georeference g;
+    flown.fly(20, &g);
+    const double turning = std::abs(flown.heading_error(g));
+    EXPECT_GT(turning, 0.035) << seed;
+    flown.fly(3, &g);
+    EXPECT_LT(std::abs(flown.heading_error(g)), 0.5 * turning) << seed;
+    EXPECT_LT(std::abs(flown.heading_error(g)), 4 * g.heading_sigma()) << seed;
+  }
 }
 
 /// What a lie does to a north that is known: the largest error of what is told, and the largest in sigmas.

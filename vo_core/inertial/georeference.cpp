@@ -3,11 +3,10 @@
 namespace godwit::vo {
 namespace {
 
-constexpr double kMostSigma = 1e3;                           // [m], [m/s]: beyond, nobody measures
-constexpr rt::TimeNs kMostAhead = 2 * rt::kNsPerSecond;      // of the pictures
-constexpr rt::TimeNs kFirstKept = 120 * rt::kNsPerSecond;    // a way since longer ago is mostly stray
-constexpr rt::TimeNs kCourseMemory = 30 * rt::kNsPerSecond;  // as long as what wanders
-constexpr double kLeastSpeed = 1;                            // [m/s]: who is slower has no course
+constexpr double kMostSigma = 1e3;                         // [m], [m/s]: beyond, nobody measures
+constexpr rt::TimeNs kMostAhead = 2 * rt::kNsPerSecond;    // of the pictures
+constexpr rt::TimeNs kFirstKept = 120 * rt::kNsPerSecond;  // a way since longer ago is mostly stray
+constexpr rt::TimeNs kTurned = 200 * rt::kNsPerMs;         // what stamps are late by, and longer than a shake
 
 double squared(double x) {
   return x * x;
@@ -59,7 +58,10 @@ bool Georeference::moment_at(rt::TimeNs t_ns, Moment* out) const {
     out->at.T_nav_cam.t = from.T_nav_cam.t + share * (to.T_nav_cam.t - from.T_nav_cam.t);
     out->at.velocity_m_s = from.velocity_m_s + share * (to.velocity_m_s - from.velocity_m_s);
     out->turn_rate = so3_log(from.T_nav_cam.R.transpose() * to.T_nav_cam.R).norm() / dt;
-    out->acceleration = (to.velocity_m_s - from.velocity_m_s).norm() / dt;
+    std::size_t before = i - 1;
+    while (before > 0 && t_ns - places_[before - 1].t_ns <= kTurned) --before;
+    const NavigatedPlace& began = places_[before];
+    out->acceleration = (to.velocity_m_s - began.velocity_m_s) / rt::to_seconds(to.t_ns - began.t_ns);
     return true;
   }
   return false;
@@ -79,21 +81,14 @@ void Georeference::new_frame(const NavigatedPlace& place) {
   first_set_ = false;
 }
 
-void Georeference::follow_course(const NavigatedPlace& before, const NavigatedPlace& now) {
-  const double dt = rt::to_seconds(now.t_ns - before.t_ns);
-  const Vec2 from = before.velocity_m_s.head<2>(), to = now.velocity_m_s.head<2>();
-  const double turned = std::min(from.norm(), to.norm()) > kLeastSpeed ? angle(from, to) : 0;
-  course_rate_ += std::min(1.0, dt / rt::to_seconds(kCourseMemory)) * (turned / dt - course_rate_);
-  strayed_variance_ += std::max(0.0, now.heading_variance - before.heading_variance);
-}
-
 void Georeference::pose(const NavigatedPlace& place) {
   const bool number = place.T_nav_cam.R.allFinite() && place.T_nav_cam.t.allFinite() &&
                       place.velocity_m_s.allFinite() && std::isfinite(place.place_variance) &&
                       std::isfinite(place.heading_variance) && std::isfinite(place.velocity_variance);
   if (!number || (place_count_ > 0 && place.t_ns <= places_[place_count_ - 1].t_ns)) return;
   if (place.frame_id != frame_id_) new_frame(place);
-  if (place_count_ > 0) follow_course(places_[place_count_ - 1], place);
+  if (place_count_ > 0)
+    strayed_variance_ += std::max(0.0, place.heading_variance - places_[place_count_ - 1].heading_variance);
   if (place_count_ == kPlaces) {
     std::move(places_.begin() + 1, places_.end(), places_.begin());
     --place_count_;
@@ -122,8 +117,7 @@ void Georeference::corrected(double turned_rad, double moved_m) {
 
 double Georeference::heading_sigma() const {
   const State& s = state();
-  return std::sqrt(s.P(kHeading, kHeading) + seen_variance(s, &NavigatedPlace::heading_variance) +
-                   squared(options_.lag_s * course_rate_));
+  return std::sqrt(s.P(kHeading, kHeading) + seen_variance(s, &NavigatedPlace::heading_variance));
 }
 
 double Georeference::place_sigma_m() const {
@@ -133,7 +127,7 @@ double Georeference::place_sigma_m() const {
 
 double Georeference::white_variance(const SatelliteFix& fix, const NavigatedPlace& at) const {
   return squared(options_.white_share * fix.place_sigma_m) + squared(options_.arm_m) +
-         squared(options_.lag_s) * at.velocity_m_s.squaredNorm() / 3;
+         squared(options_.jitter_s) * at.velocity_m_s.squaredNorm() / 3;
 }
 
 // The heading that a velocity shows, or a way; the surer of both once it is worth something.
@@ -157,11 +151,13 @@ bool Georeference::begin(const SatelliteFix& fix, const Moment& m, double veloci
           : 1;
   const double variance = std::min(by_way, by_speed);
   if (!(variance < squared(options_.begin_sigma_rad))) return false;
-  begin_at(fix, m.at, by_speed < by_way ? angle(speed, fix.velocity_m_s) : angle(way, way_told), variance);
+  const bool by_velocity = by_speed < by_way;
+  begin_at(fix, m, by_velocity ? angle(speed, fix.velocity_m_s) : angle(way, way_told), variance, by_velocity);
   return true;
 }
 
-void Georeference::begin_at(const SatelliteFix& fix, const NavigatedPlace& at, double heading, double variance) {
+void Georeference::begin_at(const SatelliteFix& fix, const Moment& m, double heading, double variance, bool by_speed) {
+  const NavigatedPlace& at = m.at;
   x_ = {};
   x_.begun = true;
   x_.heading = heading;
@@ -176,6 +172,13 @@ void Georeference::begin_at(const SatelliteFix& fix, const NavigatedPlace& at, d
   x_.P.block<3, 3>(kPlace, kWander).diagonal().setConstant(-wander);
   x_.P.block<3, 3>(kWander, kPlace).diagonal().setConstant(-wander);
   x_.P.diagonal().segment<2>(kDrift).setConstant(squared(options_.velocity_bias_m_s));
+  // What was told is of a moment ago: by so much a second the camera is further on, and on another course.
+  StateVec late = StateVec::Zero();
+  late.segment<3>(kPlace) = turn_of(heading) * at.velocity_m_s;
+  const Vec2 v = at.velocity_m_s.head<2>(), a = m.acceleration.head<2>();
+  if (by_speed) late(kHeading) = (v.x() * a.y() - v.y() * a.x()) / v.squaredNorm();
+  late(kLag) = 1;
+  x_.P += squared(options_.lag_s) * MatN(late.lazyProduct(late.transpose()));
 }
 
 // The camera's place becomes the reference: what vision strays by turns and moves what comes after it, not before.
@@ -185,7 +188,7 @@ void Georeference::advance(const SatelliteFix& fix, const NavigatedPlace& at) {
   const double decay = std::exp(-dt / rt::to_seconds(options_.wander_ns)), fresh = 1 - decay * decay;
   MatN F = MatN::Identity();
   F.block<3, 1>(kPlace, kHeading) = Vec3::UnitZ().cross(way);
-  F.diagonal().segment<5>(kWander).setConstant(decay);
+  F.diagonal().segment<5>(kWander).setConstant(decay);  // and of its velocity
   // lazyProduct: from nine rows on Eigen's operator* calls its blocked product, which allocates.
   const MatN carried = F.lazyProduct(x_.P);
   x_.P = carried.lazyProduct(F.transpose());
@@ -209,11 +212,12 @@ bool Georeference::update(const Eigen::Matrix<double, N, 1>& innovation, const R
   const MatS S_inverse = S.inverse();
   if (!(innovation.dot(S_inverse * innovation) <= limit2)) return false;
   const Eigen::Matrix<double, kSize, N> K = PH.lazyProduct(S_inverse);
-  const Eigen::Matrix<double, kSize, 1> dx = K.lazyProduct(innovation);
+  const StateVec dx = K.lazyProduct(innovation);
   x_.heading = std::remainder(x_.heading + dx(kHeading), 2 * M_PI);
   x_.place += dx.template segment<3>(kPlace);
   x_.wander += dx.template segment<3>(kWander);
   x_.drift += dx.template segment<2>(kDrift);
+  x_.lag += dx(kLag);
   const MatN A = MatN::Identity() - MatN(K.lazyProduct(H));
   const MatN carried = A.lazyProduct(x_.P);
   x_.P = carried.lazyProduct(A.transpose());
@@ -224,19 +228,23 @@ bool Georeference::update(const Eigen::Matrix<double, N, 1>& innovation, const R
 // Level, height and velocity each for itself: a receiver whose height has another zero tells north all the same.
 bool Georeference::weigh(const SatelliteFix& fix, const Moment& m, double velocity_variance) {
   const double white = white_variance(fix, m.at);
-  const Vec3 off = fix.place_m - x_.place - x_.wander;
+  const auto way = [&] { return Vec3(turn_of(x_.heading) * m.at.velocity_m_s); };
+  const auto off = [&] { return Vec3(fix.place_m - x_.place - x_.wander + x_.lag * way()); };
   Rows<2> level = Rows<2>::Zero();
   level.block<2, 2>(0, kPlace).setIdentity();
   level.block<2, 2>(0, kWander).setIdentity();
+  level.col(kLag) = -way().head<2>();
+  bool fits = update<2>(off().head<2>(), level, white, options_.level_limit2);
   Rows<1> height = Rows<1>::Zero();
   height(kPlace + 2) = height(kWander + 2) = 1;
-  bool fits = update<2>(off.head<2>(), level, white, options_.level_limit2);
-  fits = update<1>(off.tail<1>(), height, white, options_.height_limit2) && fits;
+  height(kLag) = -way().z();
+  fits = update<1>(off().tail<1>(), height, white, options_.height_limit2) && fits;
   if (!(fix.velocity_sigma_m_s > 0)) return fits;
-  const Vec3 speed = turn_of(x_.heading) * m.at.velocity_m_s;
+  const Vec3 speed = way() - x_.lag * (turn_of(x_.heading) * m.acceleration);
   Rows<2> H = Rows<2>::Zero();
   H.col(kHeading) = Vec2(-speed.y(), speed.x());
   H.block<2, 2>(0, kDrift).setIdentity();
+  H.col(kLag) = -(turn_of(x_.heading) * m.acceleration).head<2>();
   const Vec2 slipped = fix.velocity_m_s - speed.head<2>() - x_.drift;
   return update<2>(slipped, H, velocity_variance, options_.level_limit2) && fits;
 }
@@ -278,7 +286,8 @@ void Georeference::hear(const SatelliteFix& fix, const Moment& m) {
   const double apart_s = t_heard_ns_ > 0 ? rt::to_seconds(fix.t_ns - t_heard_ns_) : 0;
   const double repeats = apart_s > 0 ? std::max(1.0, rt::to_seconds(options_.velocity_ns) / apart_s) : 1;
   t_heard_ns_ = fix.t_ns;
-  const double swung = squared(options_.arm_m * m.turn_rate), late = squared(options_.lag_s * m.acceleration);
+  const double swung = squared(options_.arm_m * m.turn_rate),
+               late = squared(options_.jitter_s) * m.acceleration.squaredNorm();
   const double velocity_variance =
       repeats * (squared(fix.velocity_sigma_m_s) + swung + late) + std::max(0.0, m.at.velocity_variance);
   if (!x_.begun) {
@@ -294,8 +303,7 @@ void Georeference::hear(const SatelliteFix& fix, const Moment& m) {
   }
   t_contradicted_ns_ = 0;
   ++used_;
-  const double now = x_.P(kHeading, kHeading) + squared(options_.lag_s * course_rate_);
-  if ((!known_ || broken_) && now < squared(options_.known_sigma_rad)) know();
+  if ((!known_ || broken_) && x_.P(kHeading, kHeading) < squared(options_.known_sigma_rad)) know();
   if (suspended_) {
     take_over_if_it_agrees();
   } else if (known_ && !within_reach(x_.heading)) {

@@ -45,9 +45,10 @@ struct GeoreferenceOptions {
   rt::TimeNs velocity_ns = rt::kNsPerSecond;
   double velocity_bias_m_s = 0.05;
   double least_velocity_sigma_m_s = 0.05, least_place_sigma_m = 0.3;  ///< whoever says less is not believed
-  /// What a receiver's stamps are late by and nobody says. In a steady turn that is a wrong heading. Not measured:
-  /// autopilots compensate 0.1 to 0.2 s.
-  double lag_s = 0.1;
+  /// What a receiver's stamps are late by and nobody says: one sigma of what stays the same, which in a steady turn is
+  /// a wrong heading for as long as the turn lasts. Not measured: ArduPilot reckons with 0.12 s for u-blox 7 and later,
+  /// with 0.22 for older ones. And of what is new with each fix.
+  double lag_s = 0.15, jitter_s = 0.1;
   double arm_m = 0.15;             ///< antenna from camera: nobody says where it sits
   double begin_sigma_rad = 0.2;    ///< a first heading is worth something from here on: then a linear filter goes on
   double known_sigma_rad = 0.035;  ///< and it is told from here on: two degrees, what a good compass is worth
@@ -62,11 +63,11 @@ struct GeoreferenceOptions {
   rt::TimeNs gap_ns = 300 * rt::kNsPerMs;  ///< places between pictures further apart are not known
 };
 
-/// Extended Kalman filter of heading, place, and what the receiver's place and velocity are off by for a while. What
-/// vision strays by between two fixes, by its own covariance, is the process noise: where satellites end the heading
-/// stays and becomes less sure as the frame itself does. A heading that was known is never given up for another: fixes
-/// that contradict it for long begin one beside it, which is taken over only where it agrees with the one held. One
-/// thread; fixes and places each in the order of their times; no allocation.
+/// Extended Kalman filter of heading, place, what the receiver's place and velocity are off by for a while, and how
+/// late its stamps are. What vision strays by between two fixes, by its own covariance, is the process noise: where
+/// satellites end the heading stays and becomes less sure as the frame itself does. A heading that was known is never
+/// given up for another: fixes that contradict it for long begin one beside it, which is taken over only where it
+/// agrees with the one held. One thread; fixes and places each in the order of their times; no allocation.
 class Georeference {
  public:
   explicit Georeference(const GeoreferenceOptions& options = {}) : options_(options) {}
@@ -96,8 +97,9 @@ class Georeference {
   std::uint64_t given_up() const { return given_up_; }  ///< how often they contradicted for long
 
  private:
-  enum : Eigen::Index { kHeading = 0, kPlace = 1, kWander = 4, kDrift = 7, kSize = 9 };
+  enum : Eigen::Index { kHeading = 0, kPlace = 1, kWander = 4, kDrift = 7, kLag = 9, kSize = 10 };
   using MatN = Eigen::Matrix<double, kSize, kSize>;
+  using StateVec = Eigen::Matrix<double, kSize, 1>;
   template <int N>
   using Rows = Eigen::Matrix<double, N, kSize>;
   /// What is known with one fix.
@@ -108,13 +110,16 @@ class Georeference {
     Vec3 reference = Vec3::Zero();  ///< in the navigation frame: where the camera was
     Vec3 wander = Vec3::Zero();     ///< of the receiver's place
     Vec2 drift = Vec2::Zero();      ///< of its velocity [m/s]
+    double lag = 0;                 ///< of its stamps [s]
     MatN P = MatN::Zero();
     NavigatedPlace last;
   };
-  /// Where the camera was at a fix, and how it moved [rad/s], [m/s^2].
+  /// Where the camera was at a fix, and how it moved [rad/s]; the acceleration [m/s^2] is the mean of the time before
+  /// it.
   struct Moment {
     NavigatedPlace at;
-    double turn_rate = 0, acceleration = 0;
+    double turn_rate = 0;
+    Vec3 acceleration = Vec3::Zero();
   };
 
   static Mat3 turn_of(double heading) { return so3_exp(Vec3(0, 0, heading)); }
@@ -122,10 +127,9 @@ class Georeference {
   /// False: no two places are near enough around that time.
   bool moment_at(rt::TimeNs t_ns, Moment* out) const;
   void new_frame(const NavigatedPlace& place);
-  void follow_course(const NavigatedPlace& before, const NavigatedPlace& now);
   void hear(const SatelliteFix& fix, const Moment& m);
   bool begin(const SatelliteFix& fix, const Moment& m, double velocity_variance);
-  void begin_at(const SatelliteFix& fix, const NavigatedPlace& at, double heading, double variance);
+  void begin_at(const SatelliteFix& fix, const Moment& m, double heading, double variance, bool by_speed);
   void advance(const SatelliteFix& fix, const NavigatedPlace& at);
   /// Of what is new in each place told.
   double white_variance(const SatelliteFix& fix, const NavigatedPlace& at) const;
@@ -149,7 +153,6 @@ class Georeference {
   std::array<NavigatedPlace, kPlaces> places_;  ///< of the last pictures in this frame, oldest first
   std::size_t place_count_ = 0;
   std::uint32_t frame_id_ = 0;
-  double course_rate_ = 0;  ///< mean of the last half minute, signed [rad/s]
 
   bool known_ = false;
   bool broken_ = false;  ///< the frame began anew since: how far it turned meanwhile nobody knows
