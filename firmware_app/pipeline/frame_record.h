@@ -105,7 +105,8 @@ struct EarthRecord {
 constexpr const char* north_word(const EarthRecord& e) {
   if (!e.known) return "unknown";
   if (e.broken) return "broken";
-  return e.held ? "held" : "known";
+  if (e.held) return "held";
+  return "known";
 }
 
 /// Plain data. Poses: camera to world, T_world_cam; units of the map until scale is known.
