@@ -13,7 +13,7 @@ constexpr double kWhiteInFlight = 2, kWalkInFlight = 10;
 /// How far its bias may be from what is said where it is asked whether a flight begins. Taken as it is said there, too,
 /// a map of a flat pad that began wrong was believed a second too early (take-offs of scenario gnss-loss). Told with it
 /// the vertical, and with it half of every place's variance, was that margin: a bias that nothing in a straight flight
-/// shows (docs/inertial.md).
+/// shows (docs/inertial-design.md).
 constexpr double kBeginBiasMargin = 2;
 
 /// What vision's own scale may be off by where the sensor has no share in it. Simulator: 0.75 sigmas along the way with

@@ -53,7 +53,7 @@ struct InertialOdometryOptions {
   }
   double least_course_sigma = 1e-3, most_course_sigma = 0.1;  ///< where a map begins [rad]
   /// What is told is less certain than the window holds it for, by what its model leaves out; none of it decides
-  /// anything here. Measured on euroc_mh01 (docs/inertial.md), one sigma each:
+  /// anything here. Measured on euroc_mh01 (docs/inertial-design.md), one sigma each:
   double told_place_sigma_m = 4e-3;    ///< an axis
   double told_turn_sigma_rad = 2e-4;   ///< an axis
   double told_scale_sigma = 1e-2;      ///< of lengths: the accelerometer's scale, and what vision's drifts
