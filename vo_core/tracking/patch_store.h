@@ -29,7 +29,7 @@ class PatchStore {
 
  private:
   /// Two points that fall on one place take turns: rare where those in view were found one after the other.
-  static constexpr int kPlaces = 1024;
+  static constexpr int kPlaces = 512;
   /// Which view is kept. Side by side, apart from what is large: these are looked at before that is asked for.
   struct View {
     std::uint32_t keyframe_id = 0;  ///< 0: nothing
