@@ -139,8 +139,12 @@ TEST(Initializer, WhereAnotherMotionCostsHardlyMoreTheFirstMapWaitsForOneThatTel
   while (frames < shots.size() && report.status != InitStatus::kDone) {
     report = init.add_frame(shots[frames++]->pyramid.view(), {});
     if (report.ambiguity > InitializerOptions{}.max_ambiguity) ++ambiguous;
-    if (frames <= kAhead) ASSERT_NE(report.status, InitStatus::kDone) << frames;
-    if (frames == kAhead) EXPECT_EQ(report.status, InitStatus::kAmbiguous);
+    if (frames <= kAhead) {
+      ASSERT_NE(report.status, InitStatus::kDone) << frames;
+    }
+    if (frames == kAhead) {
+      EXPECT_EQ(report.status, InitStatus::kAmbiguous);
+    }
   }
   EXPECT_GE(ambiguous, 2);
   ASSERT_EQ(report.status, InitStatus::kDone);
