@@ -59,10 +59,11 @@ FramePool::FramePool(const Layout& layout) : layout_(layout), slots_(layout.slot
   slot_bytes_ = round_up(grey_bytes_) + round_up(layout.pyramid_bytes) + kRowAlignment +
                 (layout.colour ? round_up(pixels * 3) + kRowAlignment : 0);
   const std::size_t total = slot_bytes_ * layout.slots;
-  memory_.reset(static_cast<std::uint8_t*>(std::aligned_alloc(kLargePage, total)));
   // Keyframes' pictures are looked at here and there: with small pages nearly each look misses the table of them. A
   // kernel that has no large ones says so, and nothing hangs on that.
-  if (memory_ != nullptr) madvise(memory_.get(), total, MADV_HUGEPAGE);
+  void* memory = nullptr;
+  if (posix_memalign(&memory, kLargePage, total) == 0) madvise(memory, total, MADV_HUGEPAGE);
+  memory_.reset(static_cast<std::uint8_t*>(memory));
   if (memory_ != nullptr) std::memset(memory_.get(), 0, total);  // touched: no page fault once armed
   const int rings = layout.readers + (layout.onlooker ? 1 : 0);
   for (int i = 0; i < rings; ++i) returns_.push_back(std::make_unique<ReturnRing>());
