@@ -54,6 +54,13 @@ PoseSample random_sample(Random& random) {
   return s;
 }
 
+OdometryConfig random_mounting(Random& random) {
+  OdometryConfig config;
+  config.R_body_cam = random.rotation();
+  config.t_body_cam = random.vector(0.5);
+  return config;
+}
+
 Eigen::Matrix3d rotation_of(const Eigen::Vector4d& q) {
   return Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
 }
@@ -171,9 +178,7 @@ TEST(BodyPose, WhereNorthIsKnownTheFramePointsThereInBothProfiles) {
 TEST(BodyPose, WhereTheFramePointsNorthTheHeadingIsAsSureAsNorthIs) {
   Random random;
   for (int i = 0; i < 50; ++i) {
-    OdometryConfig config;
-    config.R_body_cam = random.rotation();
-    config.t_body_cam = random.vector(0.5);
+    OdometryConfig config = random_mounting(random);
     PoseSample s = random_sample(random);
     s.heading_known = true;
     s.heading_rad = random.number(3);
@@ -197,9 +202,7 @@ TEST(BodyPose, WhereTheFramePointsNorthTheHeadingIsAsSureAsNorthIs) {
 TEST(BodyPose, VelocityIsThatOfTheBody) {
   Random random;
   for (int i = 0; i < 50; ++i) {
-    OdometryConfig config;
-    config.R_body_cam = random.rotation();
-    config.t_body_cam = random.vector(0.5);
+    OdometryConfig config = random_mounting(random);
     const PoseSample s = random_sample(random);
     const BodyPose base = body_pose(s, config);
     constexpr double kStep = 1e-6;
