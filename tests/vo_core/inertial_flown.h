@@ -92,16 +92,16 @@ class Flown {
     pose->T_map_cam.t += crept_;
     before_ = crept_;
   }
-  /// Vision strays for 16 pictures (kStrayedNs), as a map that turns fast says, and then the map is corrected by that.
+  /// Vision strays for some pictures, by default as a map that turns fast says, and then the map is corrected by that.
   void correct(int k, VisualPose* pose) {
     pose->relative_age_ns = rt::kNsPerSecond / 2;
-    pose->relative_covariance.diagonal().setConstant(1e-4);
+    pose->relative_covariance.diagonal().setConstant(corrected_told_);
     if (k == corrected_at_) {
       pose->map_moved = true;
       pose->moved_by = strayed_by_ * corrected_move_;
       pose->turned_by = strayed_by_ * corrected_turn_;
     }
-    strayed_by_ = k < corrected_at_ ? std::max(0.0, (k - corrected_at_ + 16) / 16.0) : 0;
+    strayed_by_ = k < corrected_at_ ? std::max(0.0, 1 - double(corrected_at_ - k) / corrected_over_) : 0;
     pose->T_map_cam.R = so3_exp(-strayed_by_ * corrected_turn_) * pose->T_map_cam.R;
     pose->T_map_cam.t -= strayed_by_ * corrected_move_;
   }
@@ -159,8 +159,9 @@ class Flown {
   Vec3 turns_about_ = Vec3::Zero();
   double creeps_ = 0;  ///< share of the way
   Vec3 crept_ = Vec3::Zero(), before_ = Vec3::Zero(), last_camera_ = Vec3::Zero();
-  int corrected_at_ = 0;
-  double strayed_by_ = 0;  ///< of that correction, in the last picture
+  int corrected_at_ = 0, corrected_over_ = 16;  ///< pictures; 16: kStrayedNs
+  double corrected_told_ = 1e-4;                ///< variance relative to a keyframe half a second ago
+  double strayed_by_ = 0;                       ///< of that correction, in the last picture
   Vec3 corrected_turn_ = Vec3::Zero(), corrected_move_ = Vec3::Zero();
   int begun_ = -1;                ///< the first picture that place_error heard of
   Mat3 turn_ = Mat3::Identity();  ///< the truth's heading into the frame's

@@ -112,12 +112,12 @@ TEST(InertialRolling, JacobiansAreThoseOfDifferences) {
   Preintegration d;
   for (int k = 0; k < 20; ++k) d.add(Vec3(0.5, -0.4, 0.3), Vec3(1, 2, 9.0), 0.005, {});
   PairJacobian J_i, J_j;
-  pair_residual(i, j, d, at_i, at_j, m, kStandardGravity, &J_i, &J_j);
+  pair_residual(i, j, d, at_i, at_j, m, InertialModel{}, &J_i, &J_j);
   using E = S::Error;
   const auto by_i = test::numeric_jacobian<S::kSize>(
-      [&](const E& e) { return pair_residual(i.plus(e), j, d, at_i, at_j, m, kStandardGravity, nullptr, nullptr); });
+      [&](const E& e) { return pair_residual(i.plus(e), j, d, at_i, at_j, m, InertialModel{}, nullptr, nullptr); });
   const auto by_j = test::numeric_jacobian<S::kSize>(
-      [&](const E& e) { return pair_residual(i, j.plus(e), d, at_i, at_j, m, kStandardGravity, nullptr, nullptr); });
+      [&](const E& e) { return pair_residual(i, j.plus(e), d, at_i, at_j, m, InertialModel{}, nullptr, nullptr); });
   EXPECT_LT((by_i - J_i).rightCols<6>().cwiseAbs().maxCoeff(), 2e-6) << by_i - J_i;
   EXPECT_LT((by_j - J_j).rightCols<6>().cwiseAbs().maxCoeff(), 2e-6) << by_j - J_j;
   EXPECT_GT(J_i.rightCols<6>().norm(), 1);

@@ -49,12 +49,13 @@ TEST(InertialFactors, JacobiansAreThoseOfDifferences) {
   const VisionSight at_i = some_sight(i, m, 1), at_j = some_sight(j, m, 2);
   Preintegration d(ImuBias{Vec3(0.01, 0, 0.01), Vec3(0, 0.05, 0)});
   for (int k = 0; k < 20; ++k) d.add(Vec3(0.5, -0.4, 0.3 + 0.02 * k), Vec3(1, 2, 9.0), 0.005, {});
+  const InertialModel model;
   PairJacobian J_i, J_j;
-  pair_residual(i, j, d, at_i, at_j, m, 9.81, &J_i, &J_j);
+  pair_residual(i, j, d, at_i, at_j, m, model, &J_i, &J_j);
   SightJacobian V;
   sight_residual(i, at_i, m, &V);
   const auto pair = [&](const InertialState& a, const InertialState& b) {
-    return pair_residual(a, b, d, at_i, at_j, m, 9.81, nullptr, nullptr);
+    return pair_residual(a, b, d, at_i, at_j, m, model, nullptr, nullptr);
   };
   using E = S::Error;
   auto by_i = test::numeric_jacobian<S::kSize>([&](const E& e) { return pair(i.plus(e), j); });

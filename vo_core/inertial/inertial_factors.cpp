@@ -79,9 +79,9 @@ Vec6 sight_residual(const InertialState& x, const VisionSight& sight, const Came
 }
 
 PairResidual pair_residual(const InertialState& i, const InertialState& j, const Preintegration& d,
-                           const VisionSight& at_i, const VisionSight& at_j, const CameraMounting& m, double gravity,
-                           PairJacobian* J_i, PairJacobian* J_j) {
-  const double dt = d.dt_s(), s = i.scale();
+                           const VisionSight& at_i, const VisionSight& at_j, const CameraMounting& m,
+                           const InertialModel& model, PairJacobian* J_i, PairJacobian* J_j) {
+  const double dt = d.dt_s(), s = i.scale(), gravity = model.gravity_m_s2;
   const Mat3 R_i_t = i.R_map_body.transpose(), dR = d.dR(i.bias.gyro);
   const Vec3 g = -gravity * i.up;
   const Vec3 turned = so3_log(dR.transpose() * R_i_t * j.R_map_body);
@@ -103,7 +103,8 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   r.segment<2>(16) = B_i.transpose() * (j.up - i.up);
   r.segment<3>(18) = j.mounting - i.mounting;
   r[21] = j.time_offset_s - i.time_offset_s;
-  r.segment<3>(22) = j.course - i.course;
+  const double kept = course_kept(at_i, at_j, dt, model);
+  r.segment<3>(22) = j.course - kept * i.course;
   r.segment<6>(25) = e_j - e_i;
   if (J_i == nullptr || J_j == nullptr) return r;
   J_i->setZero();
@@ -137,7 +138,7 @@ PairResidual pair_residual(const InertialState& i, const InertialState& j, const
   J_i->block<2, 2>(16, S::kUp) = -Eigen::Matrix2d::Identity();
   J_j->block<2, 2>(16, S::kUp) = B_i.transpose() * j.up_basis();
   for (int k = 0; k < 7; ++k) {
-    (*J_i)(18 + k, S::kMounting + k) = -1;
+    (*J_i)(18 + k, S::kMounting + k) = k < 4 ? -1 : -kept;
     (*J_j)(18 + k, S::kMounting + k) = 1;
   }
   J_i->bottomRows<6>() = -V_i;
@@ -153,6 +154,11 @@ double moving_share(const VisionSight& at_i, const VisionSight& at_j, const Iner
   const double moved = std::hypot((at_j.camera - at_i.camera).norm() / at_j.depth,
                                   (at_j.R_map_cam - at_i.R_map_cam).norm() / std::sqrt(2.0));
   return std::clamp(moved / model.still, model.at_rest, 1.0);
+}
+
+double course_kept(const VisionSight& at_i, const VisionSight& at_j, double dt_s, const InertialModel& model) {
+  const double moving = moving_share(at_i, at_j, model);
+  return std::exp(-moving * moving * dt_s / model.course_s);
 }
 
 void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model,
@@ -193,7 +199,8 @@ void whiten_pair(const Preintegration& d, const VisionSight& at_i, const VisionS
   const double way = std::max((at_j.camera - at_i.camera).norm(), model.still * at_j.depth);
   const auto own = [](const VisionSight& sight) { return sight.shakes() ? 0 : sight.own_position; };
   const double askew = std::max(position_stray(at_i, model), position_stray(at_j, model)) * d.dt_s() / way;
-  weigh(22, 3, root * moving * model.course_stray * askew);
+  const double kept = course_kept(at_i, at_j, d.dt_s(), model);
+  weigh(22, 3, model.course * askew * std::sqrt(1 - kept * kept));
   weigh(25, 3, root * std::hypot(model.rotation_walk, model.rotation_stray * rotation_rate));
   weigh(28, 3,
         std::hypot(root * model.position_walk * at_i.depth, root * model.position_stray * position_rate,

@@ -124,10 +124,11 @@ struct InertialModel {
   double mounting_walk = 1e-6;  ///< [rad/sqrt(s)]
   double time_walk = 1e-7;      ///< [s/sqrt(s)]
   /// A way that is seen with an error of so many parts is seen askew by as many radians: what vision strays by in a
-  /// second over the way of a second, times this, is how far the course is off where a map begins, and may turn from
-  /// then on [1/sqrt(s)]. euroc_mh01 against its truth: 22 mrad in all with twenty pictures a second, which tells of 6;
-  /// 58 with ten, which tells of 22.
-  double course_begin = 2, course_stray = 1;
+  /// second over the way of a second, times this, is one sigma of the course, a first-order Gauss-Markov process of the
+  /// time below: what a map leans by ends as other parts of it come into view. A rough choice, by velocities of eight
+  /// take-offs (gnss-loss): 2 s come out the same, twice the sigma 20 % worse; other flights do not feel either.
+  double course = 1;
+  double course_s = 8;
 };
 
 /// How far vision strays in a root of a second, as it says itself at one moment [map units].
@@ -136,6 +137,9 @@ double position_stray(const VisionSight& sight, const InertialModel& model);
 /// How much of a full share of its strays vision strays by between two moments: 1 where the camera moves,
 /// InertialModel::at_rest at the least.
 double moving_share(const VisionSight& at_i, const VisionSight& at_j, const InertialModel& model);
+
+/// What is left of the course from one moment to another, so many seconds later: all of it where nothing moves.
+double course_kept(const VisionSight& at_i, const VisionSight& at_j, double dt_s, const InertialModel& model);
 
 /// Rows of the residual between two moments: inertial (turn, speed, way), slow parts, change of vision's error.
 constexpr int kPairRows = 9 + 16 + 6;
@@ -146,7 +150,7 @@ using PairJacobian = Eigen::Matrix<double, kPairRows, InertialState::kSize>;
 /// Jacobians by the errors of both; unweighted. No allocation.
 PairResidual pair_residual(const InertialState& i, const InertialState& j, const Preintegration& between,
                            const VisionSight& at_i, const VisionSight& at_j, const CameraMounting& mounting,
-                           double gravity_m_s2, PairJacobian* J_i, PairJacobian* J_j);
+                           const InertialModel& model, PairJacobian* J_i, PairJacobian* J_j);
 
 /// Weighs the rows: each becomes of unit variance, uncorrelated.
 void whiten_pair(const Preintegration& between, const VisionSight& at_i, const VisionSight& at_j,

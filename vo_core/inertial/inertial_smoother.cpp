@@ -143,8 +143,8 @@ double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
 double InertialSmoother::add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, S::Error* b_i, S::Error* b_j) const {
   PairJacobian J_i, J_j;
   const Preintegration& between = node(i + 1).since_last;
-  PairResidual r = pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_,
-                                 model_.gravity_m_s2, &J_i, &J_j);
+  PairResidual r =
+      pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_, model_, &J_i, &J_j);
   whiten_pair(between, node(i).sight, node(i + 1).sight, model_, &r, &J_i, &J_j);
   H_ii->noalias() += J_i.transpose().lazyProduct(J_i);
   H_ij->noalias() = J_i.transpose().lazyProduct(J_j);
@@ -256,6 +256,10 @@ void InertialSmoother::correct_map(const MapCorrection& c) {
     VisionSight& sight = nodes_[at(i)].sight;
     sight.R_map_cam = c.turn(node(i).t_ns) * sight.R_map_cam;
     sight.camera = c.moved(node(i).t_ns, sight.camera);
+    if (c.strayed_at(node(i).t_ns)) {
+      sight.rotation_rate = std::max(sight.rotation_rate, c.rate(c.turned_by));
+      sight.position_rate = std::max(sight.position_rate, c.rate(c.moved_by));
+    }
   }
 }
 

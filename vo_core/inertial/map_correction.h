@@ -25,6 +25,10 @@ struct MapCorrection {
     if (to_ns <= from_ns) return 1;
     return std::clamp(rt::to_seconds(t_ns - from_ns) / rt::to_seconds(to_ns - from_ns), 0.0, 1.0);
   }
+  /// Vision strayed at that time, at a rate that nobody knew before: variance of an axis and second of the walk that
+  /// ended at `by`, the correction's turn or move.
+  bool strayed_at(rt::TimeNs t_ns) const { return from_ns < to_ns && t_ns > from_ns; }
+  double rate(const Vec3& by) const { return by.squaredNorm() / (3 * rt::to_seconds(to_ns - from_ns)); }
   /// That share of its turn, and where a place seen at that time is in the corrected map.
   Mat3 turn(rt::TimeNs t_ns) const { return so3_exp(share(t_ns) * turned_by); }
   Vec3 moved(rt::TimeNs t_ns, const Vec3& place) const {

@@ -6,19 +6,21 @@
 namespace godwit::vo {
 
 void VisionStray::judge(const VisualPose& pose) {
-  if (pose.map_id != map_id_) rotation_rate_ = position_rate_ = 0;
+  if (pose.map_id != map_id_) told_ = taken_back_ = {};
   map_id_ = pose.map_id;
-  const double kept = std::exp(-2 * rt::to_seconds(pose.t_ns - t_judged_ns_) / rt::to_seconds(options_.memory_ns));
+  const double since_s = rt::to_seconds(pose.t_ns - t_judged_ns_), strayed_s = rt::to_seconds(options_.strayed_ns);
   t_judged_ns_ = pose.t_ns;
-  rotation_rate_ *= kept;
-  position_rate_ *= kept;
+  told_.forget(since_s, rt::to_seconds(options_.memory_ns));
+  taken_back_.forget(since_s, strayed_s);
+  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
+  if (pose.map_moved)
+    taken_back_.hear(pose.turned_by.squaredNorm() / (3 * strayed_s),
+                     pose.moved_by.squaredNorm() / (3 * strayed_s * depth2));
   if (pose.relative_age_ns <= 0) return;
   const double age_s = rt::to_seconds(std::min(pose.relative_age_ns, options_.age_ns));
-  const double depth2 = std::max(1e-12, pose.median_depth * pose.median_depth);
   Vec6 variances = pose.relative_covariance.diagonal();
   if (options_.pictures_err_alone) variances = (variances - 2 * pose.own_covariance.diagonal()).cwiseMax(0.0);
-  position_rate_ = std::max(position_rate_, variances.head<3>().mean() / (depth2 * age_s));
-  rotation_rate_ = std::max(rotation_rate_, variances.tail<3>().mean() / age_s);
+  told_.hear(variances.tail<3>().mean() / age_s, variances.head<3>().mean() / (depth2 * age_s));
 }
 
 void MetricMap::begin(const VisualPose& pose, const Vec3& up) {

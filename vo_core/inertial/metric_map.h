@@ -2,6 +2,8 @@
 // fast vision strays in the map, where the map became metric, and why it is not.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <span>
 
@@ -60,13 +62,27 @@ class VisionStray {
   explicit VisionStray(const VisionStrayOptions& options = {}) : options_(options) {}
 
   void judge(const VisualPose& pose);
-  double rotation_rate() const { return rotation_rate_; }  ///< variance of an axis [rad^2/s]
-  double position_rate() const { return position_rate_; }  ///< the same [depths^2/s]
+  double rotation_rate() const { return std::max(told_.rotation, taken_back_.rotation); }  ///< of an axis [rad^2/s]
+  double position_rate() const { return std::max(told_.position, taken_back_.position); }  ///< the same [depths^2/s]
   rt::TimeNs strayed_ns() const { return options_.strayed_ns; }
 
  private:
+  struct Rates {
+    double rotation = 0, position = 0;
+    void forget(double since_s, double memory_s) {
+      const double kept = std::exp(-2 * since_s / memory_s);
+      rotation *= kept;
+      position *= kept;
+    }
+    void hear(double rotation_rate, double position_rate) {
+      rotation = std::max(rotation, rotation_rate);
+      position = std::max(position, position_rate);
+    }
+  };
+
   VisionStrayOptions options_;
-  double rotation_rate_ = 0, position_rate_ = 0;
+  Rates told_;        ///< by the tracker's covariance
+  Rates taken_back_;  ///< by corrections of the map, for as long as they reach back
   std::uint32_t map_id_ = 0;
   rt::TimeNs t_judged_ns_ = 0;
 };
