@@ -127,8 +127,9 @@ struct InertialModel {
   /// second over the way of a second, times this, is one sigma of the course, a first-order Gauss-Markov process of the
   /// time below: what a map leans by ends as other parts of it come into view. A rough choice, by velocities of eight
   /// take-offs (gnss-loss): 2 s come out the same, twice the sigma 20 % worse; other flights do not feel either.
-  double course = 1;
-  double course_s = 8;
+  double course = 1, course_s = 8;
+  /// And times this where a map begins: one a second old shows ways askew by 0.3 rad on take-offs.
+  double course_begin = 2;
 };
 
 /// How far vision strays in a root of a second, as it says itself at one moment [map units].

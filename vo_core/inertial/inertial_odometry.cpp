@@ -220,7 +220,7 @@ double InertialOdometry::course_sigma(std::span<const InertialNode> window) cons
   const InertialNode &first = window.front(), &last = window.back();
   const double way = (last.sight.camera - first.sight.camera).norm();
   const double strayed = position_stray(last.sight, options_.model) * std::sqrt(rt::to_seconds(last.t_ns - first.t_ns));
-  return std::clamp(options_.model.course * strayed / std::max(way, 1e-12), options_.least_course_sigma,
+  return std::clamp(options_.model.course_begin * strayed / std::max(way, 1e-12), options_.least_course_sigma,
                     options_.most_course_sigma);
 }
 
