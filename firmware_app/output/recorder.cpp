@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "hal/atomic_file.h"
+#include "hal/imu/error_model.h"
 #include "hal/rt/frame_pool.h"
 #include "hal/rt/process_end.h"
 #include "hal/rt/thread.h"
@@ -281,17 +282,21 @@ void Recording::end_writers() {
 }
 
 rt::Result<void> Recording::finish() {
-  if (imu_ != nullptr) {
-    if (auto r = imu_file_.write(imu_text_); !r) return r;
-    if (auto r = imu_file_.commit(); !r) return r;
-  }
-  if (camera_ == nullptr) return {};
   const auto write = [&](const std::string& name, const std::string& text) -> rt::Result<void> {
     hal::AtomicFile file;
     if (auto r = file.open(options_.out + name); !r) return r;
     if (auto r = file.write(text); !r) return r;
     return file.commit();
   };
+  if (imu_ != nullptr) {
+    if (auto r = imu_file_.write(imu_text_); !r) return r;
+    if (auto r = imu_file_.commit(); !r) return r;
+    const std::string ranges = hal::sensor_yaml(imu_->rate_hz(), imu_->ranges());
+    if (!ranges.empty()) {
+      if (auto r = write("/mav0/imu0/sensor.yaml", ranges); !r) return r;
+    }
+  }
+  if (camera_ == nullptr) return {};
   if (!options_.calibration.empty()) {
     if (auto r = write("/mav0/cam0/" + options_.calibration_name, options_.calibration); !r) return r;
   }

@@ -35,8 +35,9 @@ using RecorderProgress = std::function<void(const Recorded&, std::uint64_t free_
 /// Records until the camera is at its end, the time is up, *stop becomes true or the disc is nearly full; pictures as
 /// lossless PNG. Without a camera: the inertial sensor alone. The camera is read by a thread of its own into slots, the
 /// IMU by another, three threads write: a disc that hangs for two seconds loses nothing at 60 Hz. Writes
-/// out/mav0/cam0/data/, data.csv and sensor.yaml, and out/mav0/imu0/data.csv; the list of pictures comes last. Error:
-/// what cannot be written; a folder that already holds a recording.
+/// out/mav0/cam0/data/, data.csv and sensor.yaml, and out/mav0/imu0/data.csv, with a sensor.yaml where the sensor knows
+/// the ends of its axes; the list of pictures comes last. Error: what cannot be written; a folder that already holds a
+/// recording.
 rt::Result<Recorded> record_devices(hal::Camera* camera, hal::Imu* imu, const RecorderOptions& options,
                                     const RecorderProgress& progress, const std::atomic<bool>& stop);
 

@@ -58,6 +58,24 @@ rt::Result<ImuErrorModel> parse_imu_error_model(std::string_view text, const std
   return out;
 }
 
+std::string sensor_yaml(double rate_hz, const ImuRanges& ranges) {
+  ImuErrorModel known;
+  known.gyroscope_range = ranges.gyro_rad_s;
+  known.accelerometer_range = ranges.accel_m_s2;
+  std::string keys;
+  for (const Key& key : kKeys) {
+    const auto& value = known.*key.value;
+    if (!value || !(*value >= key.least && *value <= key.most)) continue;
+    char line[80];
+    std::snprintf(line, sizeof line, "%s: %.9g  # [%s]\n", key.name, *value, key.unit);
+    keys += line;
+  }
+  if (keys.empty()) return {};
+  char head[80];
+  std::snprintf(head, sizeof head, "sensor_type: imu\nrate_hz: %.9g\n", rate_hz);
+  return head + keys;
+}
+
 rt::Result<ImuErrorModel> read_imu_error_model(const std::string& file) {
   const auto text = read_text_file(file);
   if (!text) return text.error();

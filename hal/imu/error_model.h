@@ -5,6 +5,7 @@
 #include <string>
 #include <string_view>
 
+#include "hal/imu/imu.h"
 #include "hal/rt/result.h"
 
 namespace godwit::hal {
@@ -30,6 +31,9 @@ struct ImuErrorModel {
 /// Reads the keys above out of Kalibr's imu.yaml or EuRoC's imu0/sensor.yaml; others are passed over. Error: no YAML, a
 /// value that is no number, or one that no sensor has; with the file's name, the key and what is allowed.
 rt::Result<ImuErrorModel> parse_imu_error_model(std::string_view text, const std::string& name);
+/// Such a text of what a sensor says of itself, as far as it is a range that parse_imu_error_model takes; empty:
+/// nothing.
+std::string sensor_yaml(double rate_hz, const ImuRanges& ranges);
 /// The same of a file, in which one key at least is wanted. Blocks.
 rt::Result<ImuErrorModel> read_imu_error_model(const std::string& file);
 

@@ -48,6 +48,11 @@ inline std::uint8_t saturated_flags(const ImuSample& s, double gyro_range_rad_s,
   return flags;
 }
 
+/// Where a sensor's axes end; 0: not known.
+struct ImuRanges {
+  double gyro_rad_s = 0, accel_m_s2 = 0;
+};
+
 /// What became of one call of Imu::next.
 enum class ImuStatus : std::uint8_t {
   kSample,   ///< a sample was delivered
@@ -61,6 +66,8 @@ class Imu {
  public:
   virtual ~Imu() = default;
   virtual double rate_hz() const = 0;
+  /// The thread of next(), or after its end.
+  virtual ImuRanges ranges() const { return {}; }
   /// Writes the next sample. Waits at most timeout_ns.
   virtual ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) = 0;
   /// What the device has to say beside its samples; null: nothing. The thread of next() writes, one other may read.

@@ -65,6 +65,8 @@ class Samples final : public hal::Imu {
     return hal::ImuStatus::kSample;
   }
   bool done() const { return number_ == 100; }
+  hal::ImuRanges ranges() const override { return ranges_; }
+  hal::ImuRanges ranges_;
 
  private:
   std::atomic<int> number_{0};
@@ -108,6 +110,27 @@ TEST(Recorder, TheInertialSensorAloneIsRecordedToo) {
   ASSERT_TRUE(record.ok()) << record.error().message;
   EXPECT_EQ(record.value().samples.size(), 100u);
   EXPECT_NEAR(record.value().samples[7].gyro_rad_s[0], 0.007, 1e-9);
+}
+
+// A reading at the end of its axis is a lower bound: without the ranges a replay took it for one.
+TEST(Recorder, TheEndsOfTheSensorsAxesAreRecorded) {
+  for (const hal::ImuRanges ranges : {hal::ImuRanges{0.5, 78.4532}, hal::ImuRanges{}, hal::ImuRanges{1e6, 1e6}}) {
+    const test::TempFolder folder;
+    Samples imu;
+    imu.ranges_ = ranges;
+    RecorderOptions options;
+    options.out = folder / "ends";
+    std::atomic<bool> stop{false};
+    const auto done = record_devices(
+        nullptr, &imu, options, [&](const Recorded& r, std::uint64_t) { stop = r.samples == 100; }, stop);
+    ASSERT_TRUE(done.ok()) << done.error().message;
+    const bool known = ranges.gyro_rad_s == 0.5;
+    EXPECT_EQ(std::filesystem::exists(options.out + "/mav0/imu0/sensor.yaml"), known);
+    const auto record = hal::read_imu_record(options.out);
+    ASSERT_TRUE(record.ok()) << record.error().message;
+    EXPECT_EQ(record.value().saturated, known ? 100u : 0u) << "-0.5 rad/s about z";
+    EXPECT_NEAR(record.value().errors.accelerometer_range.value_or(0), known ? 78.4532 : 0, 1e-6);
+  }
 }
 
 TEST(Recorder, ADiscThatIsNearlyFullEndsItInGoodTime) {

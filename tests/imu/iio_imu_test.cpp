@@ -89,6 +89,9 @@ TEST_F(IioImuTest, GivesSiUnitsGapsAndSaturation) {
   measure(32767);
   ASSERT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.flags, kImuGap | kImuAccelSaturated | kImuGyroSaturated);
+  EXPECT_EQ(saturated_flags(s_, imu_->ranges().gyro_rad_s, imu_->ranges().accel_m_s2),
+            kImuAccelSaturated | kImuGyroSaturated)
+      << "as a replay finds it";
   EXPECT_EQ(imu_->counters().gaps, 1u);
 }
 

@@ -198,6 +198,8 @@ TEST_F(Mpu6000Test, SaturationIsFlagged) {
   ASSERT_EQ(next(), ImuStatus::kSample);
   for (int i = 0; i < 3; ++i) ASSERT_EQ(next(), ImuStatus::kSample);
   EXPECT_EQ(s_.flags, kImuGyroSaturated | kImuAccelSaturated);
+  EXPECT_EQ(saturated_flags(s_, imu_->ranges().gyro_rad_s, imu_->ranges().accel_m_s2), s_.flags)
+      << "as a replay finds it";
 }
 
 TEST_F(Mpu6000Test, ChipsThatLieAreToldInWordsAndTakenBackWhenTheyStop) {

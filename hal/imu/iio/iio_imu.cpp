@@ -206,6 +206,11 @@ ImuStatus IioImu::next(ImuSample* sample, rt::TimeNs timeout_ns) {
   return finish(held_, accel, sample);
 }
 
+ImuRanges IioImu::ranges() const {
+  const auto end = [](int bits, double scale) { return bits > 0 ? std::ldexp(std::abs(scale), bits - 1) : 0; };
+  return {end(lines_[0].is.gyro_bits, lines_[0].is.gyro_scale), end(accel_is().accel_bits, accel_is().accel_scale)};
+}
+
 ImuStatus IioImu::finish(const IioScan& scan, const std::array<double, 3>& accel, ImuSample* sample) {
   std::array<std::int32_t, 6> raw = scan.raw;
   for (std::size_t i = 0; i < 3; ++i) raw[i] = static_cast<std::int32_t>(std::lround(accel[i]));

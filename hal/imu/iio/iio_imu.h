@@ -42,6 +42,7 @@ class IioImu final : public Imu {
 
   /// What the device gives, which may be another rate than was wanted; that one while the device was never seen.
   double rate_hz() const override { return lines_[0].is.rate_hz > 0 ? lines_[0].is.rate_hz : settings_.rate_hz; }
+  ImuRanges ranges() const override;  ///< once it was seen
   ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) override;
   rt::LogRing* events() override { return &events_; }
 

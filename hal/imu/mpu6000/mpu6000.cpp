@@ -109,6 +109,11 @@ void Mpu6000::then(Step step, rt::TimeNs wait_ns) {
   step_due_ns_ = port_->now_ns() + wait_ns;
 }
 
+ImuRanges Mpu6000::ranges() const {
+  constexpr double kDegree = 3.14159265358979323846 / 180;
+  return {settings_.gyro_range_deg_s * kDegree, settings_.accel_range_g * kGravity};
+}
+
 const char* Mpu6000::set_up(rt::TimeNs give_up_ns) {
   while (step_ != Step::kRunning) {
     port_->sleep_until(std::min(give_up_ns, step_due_ns_));
@@ -352,8 +357,7 @@ bool Mpu6000::convert(const std::uint8_t* raw, ImuSample* sample) {
     return false;
   }
   temperature_c_.store(static_cast<float>(word(raw + 6) / 340.0 + 36.53), std::memory_order_relaxed);
-  const double accel_unit = settings_.accel_range_g * kGravity / 32768;
-  const double gyro_unit = settings_.gyro_range_deg_s * (3.14159265358979323846 / 180) / 32768;
+  const double accel_unit = ranges().accel_m_s2 / 32768, gyro_unit = ranges().gyro_rad_s / 32768;
   std::array<double, 3> accel{}, gyro{};
   for (std::size_t a = 0; a < 3; ++a) {
     accel[a] = r[a] * accel_unit;

@@ -46,6 +46,7 @@ class Mpu6000 final : public Imu {
   static rt::Result<std::unique_ptr<Mpu6000>> open(std::unique_ptr<SpiPort> port, const Mpu6000Settings& settings);
 
   double rate_hz() const override { return settings_.rate_hz; }
+  ImuRanges ranges() const override;
   ImuStatus next(ImuSample* sample, rt::TimeNs timeout_ns) override;
   rt::LogRing* events() override { return &events_; }
 

@@ -49,6 +49,7 @@ class SimImu final : public hal::Imu {
  public:
   SimImu(const Trajectory& trajectory, const ImuModel& model, rt::TimeNs start_ns, std::uint64_t seed);
   double rate_hz() const override { return model_.rate_hz; }
+  hal::ImuRanges ranges() const override { return {model_.gyro_range_rad_s, model_.accel_range_m_s2}; }
   /// Never waits. No allocation.
   hal::ImuStatus next(hal::ImuSample* sample, rt::TimeNs timeout_ns) override;
   const ImuTruth& truth() const { return truth_; }
