@@ -96,17 +96,22 @@ TEST(Recorder, WhatIsRecordedCanBeReplayed) {
   EXPECT_FALSE(record_devices(&camera, nullptr, options, {}, stop).ok()) << "nothing is recorded over";
 }
 
+/// All that the sensor gives, alone.
+void record_alone(Samples* imu, const std::string& out) {
+  RecorderOptions options;
+  options.out = out;
+  std::atomic<bool> stop{false};
+  const auto done = record_devices(
+      nullptr, imu, options, [&](const Recorded& r, std::uint64_t) { stop = r.samples == 100; }, stop);
+  ASSERT_TRUE(done.ok()) << done.error().message;
+  EXPECT_EQ(done.value().samples, 100u);
+}
+
 TEST(Recorder, TheInertialSensorAloneIsRecordedToo) {
   const test::TempFolder folder;
   Samples imu;
-  RecorderOptions options;
-  options.out = folder / "still";
-  std::atomic<bool> stop{false};
-  const auto done = record_devices(
-      nullptr, &imu, options, [&](const Recorded& r, std::uint64_t) { stop = r.samples == 100; }, stop);
-  ASSERT_TRUE(done.ok()) << done.error().message;
-  EXPECT_EQ(done.value().samples, 100u);
-  const auto record = hal::read_imu_record(options.out);
+  record_alone(&imu, folder / "still");
+  const auto record = hal::read_imu_record(folder / "still");
   ASSERT_TRUE(record.ok()) << record.error().message;
   EXPECT_EQ(record.value().samples.size(), 100u);
   EXPECT_NEAR(record.value().samples[7].gyro_rad_s[0], 0.007, 1e-9);
@@ -118,15 +123,10 @@ TEST(Recorder, TheEndsOfTheSensorsAxesAreRecorded) {
     const test::TempFolder folder;
     Samples imu;
     imu.ranges_ = ranges;
-    RecorderOptions options;
-    options.out = folder / "ends";
-    std::atomic<bool> stop{false};
-    const auto done = record_devices(
-        nullptr, &imu, options, [&](const Recorded& r, std::uint64_t) { stop = r.samples == 100; }, stop);
-    ASSERT_TRUE(done.ok()) << done.error().message;
+    record_alone(&imu, folder / "ends");
     const bool known = ranges.gyro_rad_s == 0.5;
-    EXPECT_EQ(std::filesystem::exists(options.out + "/mav0/imu0/sensor.yaml"), known);
-    const auto record = hal::read_imu_record(options.out);
+    EXPECT_EQ(std::filesystem::exists(folder / "ends/mav0/imu0/sensor.yaml"), known);
+    const auto record = hal::read_imu_record(folder / "ends");
     ASSERT_TRUE(record.ok()) << record.error().message;
     EXPECT_EQ(record.value().saturated, known ? 100u : 0u) << "-0.5 rad/s about z";
     EXPECT_NEAR(record.value().errors.accelerometer_range.value_or(0), known ? 78.4532 : 0, 1e-6);
