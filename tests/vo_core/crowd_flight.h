@@ -45,6 +45,7 @@ struct Shot {
   int missing = 0;  ///< frames that did not come before it
   int blur = 0;     ///< px that the camera swept sideways while it looked
   int torn = 0;     ///< the outer thirds go ways of their own: they are seen from so many places further on and back
+  int rider = -1;   ///< the middle third goes along with the camera: it is seen from this place; -1: it does not
 };
 inline SE3 pose_of(const Shot& shot) {
   return SE3(so3_exp(Vec3(0, 0, shot.roll)), Vec3::Zero()) * sweep(shot.place);
@@ -90,6 +91,7 @@ struct Seen {
       put_part(street(camera, {shot.place + shot.torn}).view(), 0, width / 3);
       put_part(street(camera, {shot.place - shot.torn}).view(), width - width / 3, width);
     }
+    if (shot.rider >= 0) put_part(street(camera, {shot.rider}).view(), width / 3, width - width / 3);
     const int each = static_cast<int>(0.5 * shot.hidden * width);
     if (each > 0) {
       // One walks to the right, one to the left, and back again.

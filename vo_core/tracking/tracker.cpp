@@ -232,7 +232,8 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
   using Kind = FrameEvidence::Kind;
   if (kind != Kind::kUnproved) {
     result->tracked = kind == Kind::kPose || kind == Kind::kFound;
-    if (result->tracked && vouched_ >= options_.held) vouch();
+    // All that was looked for must agree as well: where one who had stood still walks off, half of it goes on.
+    if (result->tracked && vouched_ >= options_.held && evidence_ >= options_.most_evidence) vouch();
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =
         noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);
@@ -255,7 +256,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     }
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;
-    seen_ = {frame->T_cam_world, frame->t_capture_ns, true};
+    if (kind == Kind::kPose) seen_ = {frame->T_cam_world, frame->t_capture_ns, true};
   } else {
     // How fast the camera moves is known from where it was seen last, too roughly for a rolling shutter's keyframe,
     // well enough to look there in the next picture where light changes from row to row (locate()).

@@ -231,6 +231,9 @@ class Tracker {
   bool told_between_movers(const Frame& frame);
   bool expects(const FrameInput& in) const { return in.expected.known && in.expected.map_id == map_id_; }
   bool find_in_map(const FrameInput& in, Frame* frame, FrameResult* result);
+  /// Between movers, where a pose is followed that nothing vouched for tells: every other frame is looked for in the
+  /// map as well, since it may be one of them who is followed. True: found by points that are vouched for.
+  bool find_beside(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
   void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
   bool same_picture(const rt::ImageView& picture);
@@ -292,6 +295,7 @@ class Tracker {
     bool known = false;
   };
   Seen seen_;                   ///< where the camera was when a pose last held, whatever became of guesses since then
+  int untold_ = 0;              ///< frames between movers that were followed since one of them was told
   bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few

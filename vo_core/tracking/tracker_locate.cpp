@@ -219,6 +219,15 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
   return true;
 }
 
+bool Tracker::find_beside(const FrameInput& in, Frame* frame, FrameResult* result) {
+  const PosePrediction predicted = frame->predicted;
+  const double gathered = gathered_;
+  if (find_in_map(in, frame, result) && proves(options_.told, vouched_)) return true;
+  frame->predicted = predicted;
+  gathered_ = gathered;
+  return false;
+}
+
 FrameEvidence::Kind Tracker::found(const FrameResult& r) {
   // A second look at the same place would see what this one has: a pattern that repeats does so in both.
   const bool sure = r.measurements >= options_.health.min_measurements && evidence_ >= options_.most_evidence &&
@@ -248,6 +257,7 @@ bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, 
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
   using Kind = FrameEvidence::Kind;
   const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
+  const bool beside = frame->crowded && unproved_ == 0 && untold_ > 0 && untold_ % 2 == 0;
   if (last_.slot >= 0 && gap <= options_.last_frame_gap_ns) {
     // Constant velocity, over as much time as has passed; after a gap the camera may have done anything, unless someone
     // else has watched it.
@@ -265,6 +275,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       guess =
           frame->expected.T_cam_map * (last_.expected.known ? last_.expected.T_cam_map : last_.T_cam_world).inverse();
     }
+    if (beside && find_beside(in, frame, result)) return found(*result);
     if (look_near_last(in, guess, near, frame, result)) {
       const bool followed = near && unproved_ == 0;
       const double before = near || unproved_ > 0 ? gathered_ : 0.0;
@@ -274,10 +285,12 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
       if (!first_look && proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
         unproved_ = 0;
         gathered_ = gathered;
-        if (result->measurements < options_.health.min_measurements) return Kind::kWeak;
         // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
         // movers what a pose agrees with may be one of them, whose motion is another.
-        return !frame->crowded || told_between_movers(*frame) ? Kind::kPose : Kind::kWeak;
+        const bool enough = result->measurements >= options_.health.min_measurements;
+        const bool told = enough && (!frame->crowded || told_between_movers(*frame));
+        untold_ = told || !frame->crowded || vouched_ >= options_.told ? 0 : untold_ + 1;
+        return told ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
         gathered_ = gathered;
@@ -292,7 +305,8 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
   } else if (find_in_map(in, frame, result)) {
     return found(*result);
   }
-  return find_in_map(in, frame, result) ? found(*result) : Kind::kNoPose;
+  // One search a frame: it costs as much as ten poses that are followed.
+  return !beside && find_in_map(in, frame, result) ? found(*result) : Kind::kNoPose;
 }
 
 }  // namespace godwit::vo

@@ -47,7 +47,7 @@ void Tracker::drop_map() {
   frames_since_keyframe_ = 0;
   feature_count_ = 0;
   have_velocity_ = false;
-  unproved_ = 0;
+  unproved_ = untold_ = 0;
   seen_ = {};
   relocalise_attempt_ = 0;
   reset_pending_ = true;
