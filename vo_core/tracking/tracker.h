@@ -127,7 +127,8 @@ struct TrackerOptions {
   /// 200 to 500, on tum_fr1_xyz 98 of 100 have more than 40; a pose that had left the right one for a wall's pattern
   /// -9 to -86. A guess begins with nothing and becomes a pose with `sure`: among walkers 97 of 100 right poses have
   /// it by their first frame, and one of 144 wrong ones, 8 cm off.
-  double most_evidence = 60.0;  ///< a guess whose first picture has as much needs no second look
+  /// A guess whose first picture has as much needs no second look; and a told pose vouches for its points with it.
+  double most_evidence = 60.0;
   double worst_frame = -30.0;
   double sure = 40.0;
   double held = 20.0;       ///< a pose that followed right ones is right with this; and a guess where it was expected
