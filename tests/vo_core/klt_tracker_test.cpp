@@ -126,36 +126,6 @@ TEST(KltTracker, AMotionIsThatOfThePlaceWhereTheGradientsAre) {
   }
 }
 
-// A turning camera moves and blurs its picture: a patch that is blurred along the way comes closer by small steps, and
-// where it was is far from where it is.
-TEST(KltTracker, FollowsAPictureThatGoesOnFastAndBlurred) {
-  const auto turned = [](int frame, double px_a_frame) {
-    constexpr int kExposures = 8;
-    std::vector<int> sum(320 * 240, 0);
-    Picture mean(320, 240, 0);
-    for (int k = 0; k < kExposures; ++k) {
-      Picture part = moved(px_a_frame * (frame + 0.4 * k / kExposures), 0);
-      for (int i = 0; i < 320 * 240; ++i) sum[i] += part(i % 320, i / 320);
-    }
-    for (int i = 0; i < 320 * 240; ++i) mean(i % 320, i / 320) = static_cast<std::uint8_t>(sum[i] / kExposures);
-    return mean;
-  };
-  std::vector<Vec2f> px;
-  for (const Vec2f& p : grid())
-    if (p.x() < 200) px.push_back(p);
-  for (const double way : {18.0, 26.0}) {
-    KltTracker tracker({});
-    const Picture first = turned(0, way);
-    const int all = tracker.set_reference(Pyramid(first.view()).view(), px, kNoise);
-    ASSERT_GT(all, 50);
-    for (int frame = 1; frame <= 3; ++frame) {
-      const Picture next = turned(frame, way);
-      EXPECT_GT(tracker.track(Pyramid(next.view()).view()), all * 9 / 10) << way << " px a frame, frame " << frame;
-    }
-    EXPECT_LT(median_error(tracker, Vec2f(static_cast<float>(3 * way), 0.0f)), 0.1);
-  }
-}
-
 TEST(KltTracker, DoesNotDriftOverManyFrames) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
