@@ -211,32 +211,11 @@ struct KltTracker::Impl {
   };
   KltOptions options;
   int count = 0;
-  std::vector<int> lost;  ///< in the latest picture
-  std::vector<float> ways;
   std::vector<KltTrack> tracks = std::vector<KltTrack>(kMaxTracks);
   std::vector<Patches> patches = std::vector<Patches>(kMaxTracks);
 
-  explicit Impl(const KltOptions& o) : options(o) {
-    lost.reserve(kMaxTracks);
-    ways.reserve(kMaxTracks);
-  }
-
-  /// Median of the living tracks' ways in the latest picture, of which there must be one.
-  Vec2f common_way() {
-    Vec2f common;
-    for (int axis = 0; axis < 2; ++axis) {
-      ways.clear();
-      for (int i = 0; i < count; ++i)
-        if (tracks[i].alive) ways.push_back(tracks[i].way[axis]);
-      const auto middle = ways.begin() + std::ssize(ways) / 2;
-      std::nth_element(ways.begin(), middle, ways.end());
-      common[axis] = *middle;
-    }
-    return common;
-  }
-
-  bool find(const rt::PyramidView& picture, const Patches& patch, const Vec2f& expected_way, KltTrack* track) const {
-    Vec2f px = track->px + expected_way;
+  bool find(const rt::PyramidView& picture, const Patches& patch, KltTrack* track) const {
+    Vec2f px = track->px;
     const int finest = track->level;
     for (int level = std::min(picture.levels, kLevels) - 1; level > finest; --level) {
       const auto& t = patch.coarse[level - 1];
@@ -256,13 +235,14 @@ struct KltTracker::Impl {
     if ((px - track->px).squaredNorm() > options.max_jump_px * options.max_jump_px) return false;
     track->correlation = correlation(image, patch.fine, p);
     if (track->correlation < options.min_correlation * patch.fine.signal) return false;
-    track->way = px - track->px;
     track->px = px;
     return true;
   }
 };
 
-KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>(options)) {}
+KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>()) {
+  impl_->options = options;
+}
 KltTracker::~KltTracker() = default;
 
 int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px, float grey_noise) {
@@ -295,19 +275,9 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
 int KltTracker::track(const rt::PyramidView& picture) {
   Impl& m = *impl_;
   int alive = 0;
-  m.lost.clear();
   for (int i = 0; i < m.count; ++i) {
     KltTrack& track = m.tracks[i];
-    if (!track.alive) continue;
-    track.alive = m.find(picture, m.patches[i], track.way, &track);
-    if (!track.alive) m.lost.push_back(i);
-    alive += track.alive ? 1 : 0;
-  }
-  if (alive == 0) return 0;
-  const Vec2f common = m.common_way();
-  for (const int i : m.lost) {
-    KltTrack& track = m.tracks[i];
-    track.alive = m.find(picture, m.patches[i], common, &track);
+    if (track.alive) track.alive = m.find(picture, m.patches[i], &track);
     alive += track.alive ? 1 : 0;
   }
   return alive;

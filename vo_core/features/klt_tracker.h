@@ -13,9 +13,7 @@
 namespace godwit::vo {
 
 struct KltOptions {
-  /// On each level. Where the picture is blurred a step leaves a third of the way: on tum_fr1_xyz, turning by 20 px a
-  /// frame, 8 lost 78 of 309 tracks in one frame, 16 lose 30, 24 lose 21.
-  int max_iterations = 16;
+  int max_iterations = 8;      ///< on each level
   float converged_px = 0.02f;  ///< step on the finest level below which a track stands; coarser: twice that
   /// Normalised cross-correlation with the reference patch below which a track is lost, of what noise leaves of it.
   float min_correlation = 0.85f;
@@ -29,7 +27,6 @@ struct KltOptions {
 struct KltTrack {
   Vec2f px_ref = Vec2f::Zero();  ///< in the reference picture, level-0 px
   Vec2f px = Vec2f::Zero();      ///< in the latest picture, level-0 px, sub-pixel
-  Vec2f way = Vec2f::Zero();     ///< there from the picture before [level-0 px]
   /// From px_ref, and from px, to the place whose motion this is: the centre of the patch's gradients [level-0 px].
   /// Where the picture grows or turns, one corner in the patch's corner does not move as the patch's centre.
   Vec2f centre = Vec2f::Zero();
@@ -58,9 +55,8 @@ class KltTracker {
   /// grey_noise: one sigma of the picture's (grey_noise.h).
   int set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px, float grey_noise);
 
-  /// Finds every living track in the picture, starting where its last way leads, and where that fails, where the
-  /// median way of the others does; tracks that leave the picture, do not converge, jump too far or no longer look like
-  /// the reference die. Returns the number alive. No allocation.
+  /// Finds every living track in the picture, starting where it was last found; tracks that leave the picture, do not
+  /// converge, jump too far or no longer look like the reference die. Returns the number alive. No allocation.
   int track(const rt::PyramidView& picture);
 
   /// In the order of set_reference.
