@@ -82,6 +82,16 @@ class Figures(unittest.TestCase):
             results.ROWS['walkers'][0](failed)
 
 
+class Complaint(unittest.TestCase):
+    def test_of_a_test_that_fails_the_checks_that_failed_are_told(self):
+        told = '874: ok    level\n874: FAIL  it came again after 1.2 s\n874: 1 failed\n\nErrors while running CTest\nUse "--rerun-failed"\n'
+        self.assertEqual(results.complaint(told), ['874: FAIL  it came again after 1.2 s'])
+
+    def test_of_anything_else_the_last_line(self):
+        self.assertEqual(results.complaint('flying\ngodwit: no such model\n'), ['godwit: no such model'])
+        self.assertEqual(results.complaint(''), [])
+
+
 class Readme(unittest.TestCase):
     def test_the_table_goes_between_its_marks_and_names_the_commit(self):
         text = results.table({name: results.ROWS[name][0](told) for name, told in READ.items()}, 'abc1234')
