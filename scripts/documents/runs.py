@@ -12,7 +12,7 @@ from documents.commands import FOREIGN, PROGRAMS, SCRIPT, options, read, shown
 # What no test runs as it is shown: a program, or a program and an option; and why.
 BARS = 'wants two idle processors and twelve minutes; what is written of it: service_bars_test.py'
 NOT_RUN = {
-    'godwit-init-survey': 'starts at every third picture of the recorded sequences: minutes; what it starts: initializer_test.cpp',
+    'godwit-init-survey': 'a survey without a bar to hold, some ten seconds a sequence; what it starts: initializer_test.cpp',
     'benchmarks/service_bars --input': BARS,
     'benchmarks/service_bars --json': BARS,
     'benchmarks/service_bars --seconds': BARS,
