@@ -71,8 +71,9 @@ const Frame* load(Sequence* s, std::size_t i) {
 }
 
 bool truth_at(const std::vector<Stamped>& truth, double t, SE3* T) {
+  // The first one that is later: a picture may be as old as the truth's beginning.
   const auto after =
-      std::lower_bound(truth.begin(), truth.end(), t, [](const Stamped& s, double v) { return s.t < v; });
+      std::upper_bound(truth.begin(), truth.end(), t, [](double v, const Stamped& s) { return v < s.t; });
   if (after == truth.begin() || after == truth.end() || after->t - (after - 1)->t > 0.1) return false;
   const Stamped &a = *(after - 1), &b = *after;
   const double f = (t - a.t) / (b.t - a.t);

@@ -55,7 +55,8 @@ TEST(KltTracker, FindsSubPixelShiftsOfEverySize) {
 TEST(KltTracker, BrightnessGainAndOffsetDoNotMoveTheTracks) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
+  const Pyramid reference(first.view());
+  const int alive = tracker.set_reference(reference.view(), grid(), kNoise);
   const Picture second = moved(2.4, -1.3, 0.7, 40.0);
   EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10);
   EXPECT_LT(median_error(tracker, Vec2f(2.4f, -1.3f)), 0.08);
@@ -66,7 +67,8 @@ TEST(KltTracker, BrightnessGainAndOffsetDoNotMoveTheTracks) {
 TEST(KltTracker, TracksComeThroughWhenTheLightDoubles) {
   const Picture first = moved(0, 0, 0.35, 10.0);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
+  const Pyramid reference(first.view());
+  const int alive = tracker.set_reference(reference.view(), grid(), kNoise);
   ASSERT_GT(alive, 80);
   const Picture second = moved(2.4, -1.3, 1.0, 10.0);
   EXPECT_GT(tracker.track(Pyramid(second.view()).view()), alive * 9 / 10);
@@ -85,7 +87,8 @@ TEST(KltTracker, FaintTextureIsFollowedOnALevelWhereItStandsOutFromTheNoise) {
   };
   const Picture first = noisy(moved(0, 0, 0.12, 120.0), 1);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), 2.5f);
+  const Pyramid reference(first.view());
+  const int alive = tracker.set_reference(reference.view(), grid(), 2.5f);
   EXPECT_GT(alive, 60);
   int coarse = 0;
   for (const KltTrack& t : tracker.tracks()) coarse += t.alive && t.level > 0;
@@ -116,20 +119,103 @@ TEST(KltTracker, AMotionIsThatOfThePlaceWhereTheGradientsAre) {
   std::vector<Vec2f> px;
   for (const Vec2f& p : grid())
     if ((p - middle).norm() < 60.0f) px.push_back(p);
-  ASSERT_GT(tracker.set_reference(Pyramid(first.view()).view(), px, kNoise), 10);
+  const Pyramid reference(first.view());
+  ASSERT_GT(tracker.set_reference(reference.view(), px, kNoise), 10);
   ASSERT_GT(tracker.track(Pyramid(second.view()).view()), 10);
   for (const KltTrack& t : tracker.tracks()) {
     if (!t.alive) continue;
-    EXPECT_LT((t.centre - aside).norm(), 1.0f);
-    const Vec2f from = t.px_ref + t.centre, to = middle + static_cast<float>(kZoom) * (from - middle);
+    EXPECT_LT((t.centre_ref - aside).norm(), 1.0f);
+    const Vec2f from = t.px_ref + t.centre_ref, to = middle + static_cast<float>(kZoom) * (from - middle);
     EXPECT_LT((t.px + t.centre - to).norm(), 0.06f) << from.transpose();
+  }
+}
+
+// A turning camera moves and blurs its picture: a patch that is blurred along the way comes closer by small steps, and
+// where it was is far from where it is.
+TEST(KltTracker, FollowsAPictureThatGoesOnFastAndBlurred) {
+  const auto turned = [](int frame, double px_a_frame) {
+    constexpr int kExposures = 8;
+    std::vector<int> sum(320 * 240, 0);
+    Picture mean(320, 240, 0);
+    for (int k = 0; k < kExposures; ++k) {
+      Picture part = moved(px_a_frame * (frame + 0.4 * k / kExposures), 0);
+      for (int i = 0; i < 320 * 240; ++i) sum[i] += part(i % 320, i / 320);
+    }
+    for (int i = 0; i < 320 * 240; ++i) mean(i % 320, i / 320) = static_cast<std::uint8_t>(sum[i] / kExposures);
+    return mean;
+  };
+  std::vector<Vec2f> px;
+  for (const Vec2f& p : grid())
+    if (p.x() < 200) px.push_back(p);
+  for (const double way : {18.0, 26.0}) {
+    KltTracker tracker({});
+    const Picture first = turned(0, way);
+    const Pyramid reference(first.view());
+    const int all = tracker.set_reference(reference.view(), px, kNoise);
+    ASSERT_GT(all, 50);
+    for (int frame = 1; frame <= 3; ++frame) {
+      const Picture next = turned(frame, way);
+      EXPECT_GT(tracker.track(Pyramid(next.view()).view()), all * 9 / 10) << way << " px a frame, frame " << frame;
+    }
+    EXPECT_LT(median_error(tracker, Vec2f(static_cast<float>(3 * way), 0.0f)), 0.1);
+  }
+}
+
+// A climb, and a turn about the optical axis: what the patches show has become smaller, or stands aslant.
+TEST(KltTracker, PatchesGrowAndTurnWithThePicture) {
+  const Vec2f middle(160.0f, 120.0f);
+  const auto seen = [&](const Eigen::Matrix2f& warp) {
+    const Eigen::Matrix2f back = warp.inverse();
+    Picture picture(320, 240, 0);
+    for (int y = 0; y < 240; ++y) {
+      for (int x = 0; x < 320; ++x) {
+        const Vec2f p = back * (Vec2f(static_cast<float>(x), static_cast<float>(y)) - middle);
+        picture(x, y) = static_cast<std::uint8_t>(
+            std::lround(220.0 * texture(static_cast<double>(p.x()) / 12.0, static_cast<double>(p.y()) / 12.0, 5)));
+      }
+    }
+    return picture;
+  };
+  struct Change {
+    float zoom, turn_rad;  ///< a frame
+  };
+  for (const Change& change : {Change{0.98f, 0.0f}, Change{1.02f, 0.0f}, Change{1.0f, 0.03f}, Change{0.99f, -0.02f}}) {
+    KltTracker tracker({});
+    Eigen::Matrix2f warp = Eigen::Matrix2f::Identity();
+    const Eigen::Matrix2f step = change.zoom * Eigen::Rotation2Df(change.turn_rad).toRotationMatrix();
+    const Picture first = seen(warp);
+    const Pyramid reference(first.view());
+    std::vector<Vec2f> px;
+    for (const Vec2f& p : grid())
+      if ((p - middle).norm() < 75.0f) px.push_back(p);
+    const int all = tracker.set_reference(reference.view(), px, kNoise);
+    ASSERT_GT(all, 30);
+    int alive = 0;
+    for (int frame = 1; frame <= 16; ++frame) {
+      warp = step * warp;
+      const Picture next = seen(warp);
+      alive = tracker.track(Pyramid(next.view()).view());
+    }
+    EXPECT_GT(alive, all * 9 / 10) << change.zoom << " " << change.turn_rad;
+    std::vector<float> off;
+    for (const KltTrack& t : tracker.tracks()) {
+      if (!t.alive) continue;
+      const Vec2f from = t.px_ref + t.centre_ref;
+      off.push_back((t.px + t.centre - (middle + warp * (from - middle))).norm());
+      EXPECT_LT((t.warp - warp).norm(), 0.06f) << change.zoom << " " << change.turn_rad;
+    }
+    ASSERT_FALSE(off.empty());
+    std::sort(off.begin(), off.end());
+    EXPECT_LT(off[off.size() / 2], 0.06f) << change.zoom << " " << change.turn_rad;
+    EXPECT_LT(off[off.size() * 9 / 10], 0.15f) << change.zoom << " " << change.turn_rad;
   }
 }
 
 TEST(KltTracker, DoesNotDriftOverManyFrames) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
-  tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
+  const Pyramid reference(first.view());
+  tracker.set_reference(reference.view(), grid(), kNoise);
   for (int k = 1; k <= 40; ++k) {
     const Picture next = moved(0.37 * k, -0.21 * k);
     tracker.track(Pyramid(next.view()).view());
@@ -140,7 +226,8 @@ TEST(KltTracker, DoesNotDriftOverManyFrames) {
 TEST(KltTracker, OtherContentAndEmptyPicturesKillTheTracks) {
   const Picture first = moved(0, 0), grey(320, 240, 128), other = rectangles(320, 240, 300, 9);
   KltTracker tracker({});
-  const int alive = tracker.set_reference(Pyramid(first.view()).view(), grid(), kNoise);
+  const Pyramid reference(first.view());
+  const int alive = tracker.set_reference(reference.view(), grid(), kNoise);
   EXPECT_LT(tracker.track(Pyramid(other.view()).view()), alive / 20);
   EXPECT_EQ(tracker.track(Pyramid(grey.view()).view()), 0);
   EXPECT_EQ(tracker.track(Pyramid(first.view()).view()), 0) << "a dead track must not come back";
@@ -149,16 +236,19 @@ TEST(KltTracker, OtherContentAndEmptyPicturesKillTheTracks) {
 TEST(KltTracker, FlatPatchesAndPatchesOutsideAreNeverAlive) {
   const Picture grey(320, 240, 128), first = moved(0, 0);
   KltTracker tracker({});
-  EXPECT_EQ(tracker.set_reference(Pyramid(grey.view()).view(), grid(), kNoise), 0);
+  const Pyramid grey_pyramid(grey.view());
+  EXPECT_EQ(tracker.set_reference(grey_pyramid.view(), grid(), kNoise), 0);
   const std::vector<Vec2f> outside{{2, 100}, {318, 100}, {100, 2}, {100, 238}, {-50, -50}, {1e9f, 5}, {NAN, 50}};
-  EXPECT_EQ(tracker.set_reference(Pyramid(first.view()).view(), outside, kNoise), 0);
+  const Pyramid reference(first.view());
+  EXPECT_EQ(tracker.set_reference(reference.view(), outside, kNoise), 0);
 }
 
 TEST(KltTracker, TakesNoMoreThanItsCapacity) {
   const Picture first = moved(0, 0);
   KltTracker tracker({});
   const std::vector<Vec2f> many(KltTracker::kMaxTracks + 50, Vec2f(100, 100));
-  tracker.set_reference(Pyramid(first.view()).view(), many, kNoise);
+  const Pyramid reference(first.view());
+  tracker.set_reference(reference.view(), many, kNoise);
   EXPECT_EQ(tracker.tracks().size(), static_cast<std::size_t>(KltTracker::kMaxTracks));
 }
 

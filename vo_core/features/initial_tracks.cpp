@@ -124,7 +124,7 @@ int InitialTracks::follow(const rt::PyramidView& frame, const rt::MaskPyramidVie
 
 Vec2f InitialTracks::px_ref(std::size_t track) const {
   const KltTrack& t = tracker_.tracks()[track];
-  return t.px_ref + t.centre;
+  return t.px_ref + t.centre_ref;
 }
 Vec2f InitialTracks::px_cur(std::size_t track) const {
   const KltTrack& t = tracker_.tracks()[track];

@@ -2,220 +2,77 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
-#include <hwy/highway.h>
 #include <vector>
 
 #include "hal/rt/count.h"
+#include "vo_core/features/klt_patch.h"
+#include "vo_core/features/picture_warp.h"
 #include "vo_core/image/grey_noise.h"
-#include "vo_core/image/patch.h"
+#include "vo_core/image/levels.h"
 
 namespace godwit::vo {
 namespace {
 
-namespace hn = hwy::HWY_NAMESPACE;
+/// A patch is cut anew when a step of one pixel in it ends so far from where it ended [px]: the fine patch's corners
+/// are then a tenth of a pixel off, as much as noise moves a track.
+constexpr float kStale = 0.01f;
+/// The coarser ones only lead there: a third of a pixel of theirs.
+constexpr float kStaleCoarse = 0.06f;
+/// Nothing is followed to where it has grown or shrunk by more than this [areas].
+constexpr float kMostGrown = 2.0f;
+/// Of those that live at most so many are cut in one frame, the others in the next ones: all at once would take as long
+/// as following them.
+constexpr int kMostCut = KltTracker::kMaxTracks / 4;
 
-/// Patch of edge P with what an iteration needs.
-template <int P>
-struct Template {
-  alignas(64) std::array<float, P * P> intensity;  ///< mean removed
-  alignas(64) std::array<float, P * P> gx, gy;     ///< orthogonal to the patch and to the constant
-  float inv_xx = 0, inv_xy = 0, inv_yy = 0;        ///< inverse of the gradient matrix
-  float mean = 1;                                  ///< removed from `intensity`, at least 1
-  float norm = 0;                                  ///< length of `intensity`
-  float signal = 1;                                ///< share of its variance that is not noise
-  Vec2f centre = Vec2f::Zero();  ///< of the gradients' energy, from the patch's centre [px of its level]
-  bool valid = false;
-};
-
-using Lanes = hn::CappedTag<float, 8>;
-using Vector = hn::Vec<Lanes>;
-
-/// Sum of the lanes in one fixed order.
-float sum(Vector v) {
-  alignas(64) std::array<float, 8> lanes{};
-  hn::Store(v, Lanes(), lanes.data());
-  float s = 0;
-  for (float x : lanes) s += x;
-  return s;
-}
-
-/// The W x W window whose first sample lies at (x, y) can be sampled. Written so that a NaN is refused too.
-template <int W>
-bool inside(const rt::ImageView& image, float x, float y) {
-  return x >= 0.0f && y >= 0.0f && x + W < static_cast<float>(image.width) && y + W < static_cast<float>(image.height);
-}
-
-/// Bilinear samples of a window that lies inside.
-template <int W>
-void sample(const rt::ImageView& image, float x, float y, float* out) {
-  const float xf = std::floor(x), yf = std::floor(y), ax = x - xf, ay = y - yf;
-  for (int j = 0; j < W; ++j) {
-    const std::uint8_t* row = image.row(static_cast<int>(yf) + j) + static_cast<int>(xf);
-    const std::uint8_t* next = row + image.stride;
-    for (int i = 0; i < W; ++i) {
-      const float a = row[i], b = row[i + 1], c = next[i], d = next[i + 1];
-      const float above = a + ax * (b - a), below = c + ax * (d - c);
-      out[j * W + i] = above + ay * (below - above);
-    }
-  }
-}
-
-/// The same, handed to visit(k, v) vector by vector; v holds the samples from number k on. P: a multiple of the lanes.
-template <int P, typename Visit>
-void visit_samples(const rt::ImageView& image, float x, float y, const Visit& visit) {
-  constexpr Lanes d;
-  constexpr hn::Rebind<std::uint8_t, Lanes> d8;
-  constexpr hn::Rebind<std::int32_t, Lanes> d32;
-  const float xf = std::floor(x), yf = std::floor(y);
-  const Vector ax = hn::Set(d, x - xf), ay = hn::Set(d, y - yf);
-  const auto blend = [&](const std::uint8_t* p) {
-    const Vector a = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, p)));
-    const Vector b = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, p + 1)));
-    return hn::MulAdd(ax, hn::Sub(b, a), a);
-  };
-  const int step = static_cast<int>(hn::Lanes(d));
-  for (int i = 0; i < P; i += step) {
-    const std::uint8_t* row = image.row(static_cast<int>(yf)) + static_cast<int>(xf) + i;
-    Vector above = blend(row);
-    for (int j = 0; j < P; ++j) {
-      row += image.stride;
-      const Vector below = blend(row);
-      visit(j * P + i, hn::MulAdd(ay, hn::Sub(below, above), above));
-      above = below;
-    }
-  }
-}
-
-template <int P>
-bool make_template(const rt::ImageView& image, const Vec2f& px, float noise, float min_eigenvalue, Template<P>* t) {
-  t->valid = false;
-  constexpr int W = P + 2;
-  constexpr float n = P * P;
-  std::array<float, W * W> window;
-  const float x = px.x() - P / 2 - 1, y = px.y() - P / 2 - 1;
-  if (!inside<W>(image, x, y)) return false;
-  sample<W>(image, x, y, window.data());
-  float mean = 0, mean_x = 0, mean_y = 0;
-  for (int j = 0; j < P; ++j) {
-    for (int i = 0; i < P; ++i) {
-      const float* c = &window[(j + 1) * W + i + 1];
-      const int k = j * P + i;
-      t->intensity[k] = c[0];
-      t->gx[k] = 0.5f * (c[1] - c[-1]);
-      t->gy[k] = 0.5f * (c[W] - c[-W]);
-      mean += t->intensity[k];
-      mean_x += t->gx[k];
-      mean_y += t->gy[k];
-    }
-  }
-  float tt = 0, tx = 0, ty = 0;
-  for (int k = 0; k < P * P; ++k) {
-    t->intensity[k] -= mean / n;
-    t->gx[k] -= mean_x / n;
-    t->gy[k] -= mean_y / n;
-    tt += t->intensity[k] * t->intensity[k];
-    tx += t->intensity[k] * t->gx[k];
-    ty += t->intensity[k] * t->gy[k];
-  }
-  if (tt < 1.0f) return false;
-  float xx = 0, xy = 0, yy = 0;
-  for (int k = 0; k < P * P; ++k) {
-    t->gx[k] -= tx / tt * t->intensity[k];
-    t->gy[k] -= ty / tt * t->intensity[k];
-    xx += t->gx[k] * t->gx[k];
-    xy += t->gx[k] * t->gy[k];
-    yy += t->gy[k] * t->gy[k];
-  }
-  constexpr int kHalf = P / 2;
-  float cx = 0, cy = 0;
-  for (int j = 0; j < P; ++j) {
-    for (int i = 0; i < P; ++i) {
-      const int k = j * P + i;
-      const float energy = t->gx[k] * t->gx[k] + t->gy[k] * t->gy[k];
-      cx += energy * static_cast<float>(i - kHalf);
-      cy += energy * static_cast<float>(j - kHalf);
-    }
-  }
-  const float half_trace = 0.5f * (xx + yy);
-  const float smaller = half_trace - std::sqrt(0.25f * (xx - yy) * (xx - yy) + xy * xy);
-  if (!(smaller > min_eigenvalue * noise * noise * n)) return false;
-  const float det = xx * yy - xy * xy;
-  t->inv_xx = yy / det;
-  t->inv_xy = -xy / det;
-  t->inv_yy = xx / det;
-  t->mean = std::max(mean / n, 1.0f);
-  t->norm = std::sqrt(tt);
-  t->signal = std::max(0.5f, 1.0f - noise * noise * n / tt);
-  t->centre = Vec2f(cx, cy) / (xx + yy);
-  t->valid = true;
-  return true;
-}
-
-enum class Outcome { kConverged, kNotConverged, kOutside };
-
-/// Moves *px (of the image's level) onto the patch. Where it left the picture, *px is what it was.
-template <int P>
-Outcome align(const rt::ImageView& image, const Template<P>& t, int max_iterations, float converged_px, Vec2f* px) {
-  constexpr Lanes d;
-  const Vec2f start = *px;
-  for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    const float x = px->x() - P / 2, y = px->y() - P / 2;
-    if (!inside<P>(image, x, y)) {
-      *px = start;
-      return Outcome::kOutside;
-    }
-    Vector sx = hn::Zero(d), sy = hn::Zero(d);
-    Vector s = hn::Zero(d);
-    visit_samples<P>(image, x, y, [&](int k, Vector v) {
-      sx = hn::MulAdd(hn::Load(d, &t.gx[k]), v, sx);
-      sy = hn::MulAdd(hn::Load(d, &t.gy[k]), v, sy);
-      s = hn::Add(s, v);
-    });
-    // In more light the gradients are larger as the patch is brighter, and steps would overshoot; in less they are only
-    // short. What is sharper without more light was blurred in the reference, whose corners then lie beside the true
-    // ones: such a track had better not converge.
-    const float gain = std::clamp(sum(s) / (P * P) / t.mean, 1.0f, kMaxGain);
-    const float bx = sum(sx) / gain, by = sum(sy) / gain;
-    const Vec2f step(t.inv_xx * bx + t.inv_xy * by, t.inv_xy * bx + t.inv_yy * by);
-    *px -= step;
-    if (!((*px - start).squaredNorm() < static_cast<float>(P * P))) return Outcome::kNotConverged;
-    if (step.squaredNorm() < converged_px * converged_px) return Outcome::kConverged;
-  }
-  return Outcome::kNotConverged;
-}
-
-template <int P>
-float correlation(const rt::ImageView& image, const Template<P>& t, const Vec2f& px) {
-  constexpr Lanes d;
-  const float x = px.x() - P / 2, y = px.y() - P / 2;
-  if (!inside<P>(image, x, y)) return -1.0f;
-  Vector s = hn::Zero(d), ss = hn::Zero(d), st = hn::Zero(d);
-  visit_samples<P>(image, x, y, [&](int k, Vector v) {
-    s = hn::Add(s, v);
-    ss = hn::MulAdd(v, v, ss);
-    st = hn::MulAdd(hn::Load(d, &t.intensity[k]), v, st);
-  });
-  const float mean = sum(s) / (P * P);
-  const float variance = sum(ss) - mean * mean * (P * P);
-  if (variance < 1.0f) return -1.0f;
-  return sum(st) / (std::sqrt(variance) * t.norm);
+bool differ(const Eigen::Matrix2f& a, const Eigen::Matrix2f& b, float by) {
+  return (a - b).squaredNorm() > by * by;
 }
 
 }  // namespace
 
 struct KltTracker::Impl {
   struct Patches {
-    Template<kFinePatch> fine;
-    std::array<Template<kCoarsePatch>, kLevels - 1> coarse;
+    klt::Template<kFinePatch> fine;
+    std::array<klt::Template<kCoarsePatch>, kLevels - 1> coarse;
+    Eigen::Matrix2f coarse_warp;  ///< as they were cut
   };
   KltOptions options;
+  rt::PyramidView reference;
+  float grey_noise = 0;
   int count = 0;
+  PictureWarp warp;  ///< from the reference picture to the latest
   std::vector<KltTrack> tracks = std::vector<KltTrack>(kMaxTracks);
   std::vector<Patches> patches = std::vector<Patches>(kMaxTracks);
+  std::vector<Vec2f> from, to;
+  std::vector<int> lost;  ///< in the latest picture
+  int next_refreshed = 0;
 
-  bool find(const rt::PyramidView& picture, const Patches& patch, KltTrack* track) const {
-    Vec2f px = track->px;
+  explicit Impl(const KltOptions& o) : options(o) {
+    for (auto* v : {&from, &to}) v->reserve(kMaxTracks);
+    lost.reserve(kMaxTracks);
+  }
+
+  /// As a picture shows it to which track.warp leads; the coarse patches only where they have become stale. False if
+  /// the fine one leaves the reference picture or has no texture.
+  bool cut(const KltTrack& track, bool for_the_first_time, Patches* patch) const {
+    const auto cut_level = [&](int level, auto* out) {
+      return klt::make_template(reference.level[level], to_level(track.px_ref, level), track.warp,
+                                grey_noise_at(grey_noise, level), options.min_eigenvalue, out);
+    };
+    if (!cut_level(track.level, &patch->fine)) return false;
+    if (!for_the_first_time && !differ(track.warp, patch->coarse_warp, kStaleCoarse)) return true;
+    patch->coarse_warp = track.warp;
+    for (int level = 1; level < kLevels; ++level) {
+      auto& t = patch->coarse[level - 1];
+      t.valid = false;
+      if (level < reference.levels) cut_level(level, &t);
+    }
+    return true;
+  }
+
+  /// Looks for the track near px [level-0 px].
+  bool find(const rt::PyramidView& picture, const Patches& patch, Vec2f px, KltTrack* track) const {
+    using klt::Outcome;
     const int finest = track->level;
     for (int level = std::min(picture.levels, kLevels) - 1; level > finest; --level) {
       const auto& t = patch.coarse[level - 1];
@@ -235,50 +92,85 @@ struct KltTracker::Impl {
     if ((px - track->px).squaredNorm() > options.max_jump_px * options.max_jump_px) return false;
     track->correlation = correlation(image, patch.fine, p);
     if (track->correlation < options.min_correlation * patch.fine.signal) return false;
+    track->way = px - track->px;
     track->px = px;
+    return true;
+  }
+
+  /// A patch that the picture has outgrown is cut anew; where that fails the track ends. Whether it was tried.
+  bool refresh(KltTrack* track, Patches* patch) const {
+    const Eigen::Matrix2f grown = warp.derivative(track->px_ref);
+    if (!differ(grown, track->warp, kStale)) return false;
+    track->warp = grown;
+    const float area = grown.determinant();
+    track->alive = area > 1.0f / kMostGrown && area < kMostGrown && cut(*track, false, patch);
+    track->px += track->centre;  // the place was found with the patch as it was
+    track->centre = grown * track->centre_ref;
+    track->px -= track->centre;
     return true;
   }
 };
 
-KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>()) {
-  impl_->options = options;
-}
+KltTracker::KltTracker(const KltOptions& options) : impl_(std::make_unique<Impl>(options)) {}
 KltTracker::~KltTracker() = default;
 
 int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const Vec2f> px, float grey_noise) {
   Impl& m = *impl_;
   m.count = std::min(rt::count_of(px), kMaxTracks);
+  m.reference = reference;
+  m.grey_noise = grey_noise;
+  m.next_refreshed = 0;
+  m.warp = PictureWarp(reference.level[0].width, reference.level[0].height);
   int alive = 0;
   for (int i = 0; i < m.count; ++i) {
-    const Vec2f& p = px[i];
-    Impl::Patches& patch = m.patches[i];
     KltTrack& track = m.tracks[i];
-    track = KltTrack{.px_ref = p, .px = p};
-    for (int level = 0; level < std::min(kFineLevels, reference.levels) && !track.alive; ++level) {
-      track.level = level;
-      track.alive = make_template(reference.level[level], to_level(p, level), grey_noise_at(grey_noise, level),
-                                  m.options.min_eigenvalue, &patch.fine);
+    for (int level = 0; level < std::min(kFineLevels, reference.levels); ++level) {
+      track = KltTrack{.px_ref = px[i], .px = px[i], .level = level};
+      track.alive = m.cut(track, true, &m.patches[i]);
+      if (track.alive) break;
     }
-    if (track.alive) track.centre = patch.fine.centre * level_scale(track.level);
-    for (int level = 1; level < kLevels; ++level) {
-      auto& t = patch.coarse[level - 1];
-      t.valid = false;
-      if (level < reference.levels)
-        make_template(reference.level[level], to_level(p, level), grey_noise_at(grey_noise, level),
-                      m.options.min_eigenvalue, &t);
-    }
-    alive += track.alive ? 1 : 0;
+    if (!track.alive) continue;
+    track.centre_ref = track.centre = m.patches[i].fine.centre * level_scale(track.level);
+    ++alive;
   }
   return alive;
 }
 
 int KltTracker::track(const rt::PyramidView& picture) {
   Impl& m = *impl_;
+  m.from.clear();
+  m.to.clear();
+  m.lost.clear();
   int alive = 0;
   for (int i = 0; i < m.count; ++i) {
     KltTrack& track = m.tracks[i];
-    if (track.alive) track.alive = m.find(picture, m.patches[i], &track);
+    if (!track.alive) continue;
+    track.alive = m.find(picture, m.patches[i], track.px + track.way, &track);
+    if (!track.alive) {
+      m.lost.push_back(i);
+      continue;
+    }
+    m.from.push_back(track.px_ref + track.centre_ref);
+    m.to.push_back(track.px + track.centre);
+    ++alive;
+  }
+  const PictureWarp before = m.warp;
+  if (!m.warp.fit(m.from, m.to)) return alive;
+  for (const int i : m.lost) {
+    KltTrack& track = m.tracks[i];
+    const Vec2f way = m.warp(track.px_ref) - before(track.px_ref);
+    track.alive = true;
+    m.refresh(&track, &m.patches[i]);
+    track.alive = track.alive && m.find(picture, m.patches[i], track.px + way, &track);
     alive += track.alive ? 1 : 0;
+  }
+  int cut = 0;
+  for (int k = 0; k < m.count && cut < kMostCut; ++k) {
+    m.next_refreshed = (m.next_refreshed + 1) % m.count;
+    const int i = m.next_refreshed;
+    if (!m.tracks[i].alive) continue;
+    cut += m.refresh(&m.tracks[i], &m.patches[i]) ? 1 : 0;
+    alive -= m.tracks[i].alive ? 0 : 1;
   }
   return alive;
 }

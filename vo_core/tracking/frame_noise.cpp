@@ -9,9 +9,9 @@
 
 namespace godwit::vo {
 namespace {
-constexpr double kKept = 0.95;  ///< of the sums a frame later: an average over some 20 frames
-constexpr int kFewest = 16;     ///< corners, two a band
-constexpr int kColumns = 4;     ///< parts of a band: who stands before two of them leaves the next but one alone
+constexpr double kKept = 0.95;      ///< of the sums a frame later: an average over some 20 frames
+constexpr int kFewestCorners = 16;  ///< corners, two a band
+constexpr int kColumns = 4;         ///< parts of a band: who stands before two of them leaves the next but one alone
 
 /// What strays alike in parts of a band that do not lie beside each other.
 class AcrossRows {
@@ -97,7 +97,7 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
     corners += count[k];
     J_all += in_band[k];
   }
-  if (corners < kFewest) return {H_inv * variance, Mat6::Zero()};
+  if (corners < kFewestCorners) return {H_inv * variance, Mat6::Zero()};
   const double independent = spread.band_square() / (2.0 * corners - 6.0) * sums;
   // In units of what a patch alone makes of a measurement.
   const double stated = 1.0 + shake_;

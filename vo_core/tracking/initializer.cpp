@@ -125,8 +125,9 @@ struct Initializer::Impl {
     return take + 1;
   }
 
-  /// From a motion of two views to all views: depths by triangulation, the views between by pose alone, then together.
-  void solve(const TwoViewCandidate& candidate, int views, Solution* out) {
+  /// From a motion of two views to all views: depths by triangulation, the views between by pose alone, then together
+  /// in at most so many steps.
+  void solve(const TwoViewCandidate& candidate, int views, int steps, Solution* out) {
     out->model = candidate.model;
     MultiViewState& state = out->state;
     const int last = views - 1;
@@ -154,10 +155,15 @@ struct Initializer::Impl {
       state.T_view_ref[k] = state.T_view_ref[k + 1];
       refiner.refine_pose(k, 4, &state);
     }
-    refiner.refine(3, &state);
+    refiner.refine(steps, &state);
   }
 
   Solution& solution(int k) { return solutions[order[k]]; }
+
+  /// The weights' width follows the residuals from stage to stage.
+  void to_bottom(int k) {
+    for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(k).state);
+  }
 
   /// Sorts the first n places of `order` by cost, reckoned for all with the noise of the one that fits best.
   void rank(int n) {
@@ -188,8 +194,9 @@ struct Initializer::Impl {
     return accepted;
   }
 
-  /// If the points are a plane, there is a second motion that shows it alike: from there to the bottom, as the last
-  /// solution. Elsewhere that falls back into the best one, or costs far more.
+  /// If the points are a plane, there is a second motion that shows it alike: the last solution, as it is. Elsewhere it
+  /// costs far more. It is not followed to its bottom: on a climb the valley between both is flat, and what has slid to
+  /// its other end tells nothing of how long it is.
   void add_other_motion_of_plane(int views) {
     const Solution& best = solution(0);
     const SE3& T = best.state.T_view_ref[views - 1];
@@ -204,9 +211,10 @@ struct Initializer::Impl {
     other.T_b_a.t.normalize();
     other.model = InitModel::kHomography;
     // `order` holds every solution once: what is kept stands first, the place after it is free.
-    solve(other, views, &solution(solution_count));
-    for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(solution_count).state);
+    const int newest = order[solution_count];
+    solve(other, views, 0, &solutions[newest]);
     rank(++solution_count);
+    if (order[0] == newest) to_bottom(0);
   }
 
   /// What a second minimum says of the first, if it fits about as well. With other depths it makes the map ambiguous.
@@ -303,7 +311,7 @@ struct Initializer::Impl {
     for (int k = 0; k < pair.candidate_count; ++k) {
       const TwoViewCandidate& candidate = pair.candidates[k];
       if (candidate.in_front < kMinFrontShare * pair.inliers) continue;
-      solve(candidate, views, &solutions[solution_count++]);
+      solve(candidate, views, 3, &solutions[solution_count++]);
     }
     if (solution_count == 0) return;
     std::iota(order.begin(), order.end(), 0);
@@ -318,8 +326,7 @@ struct Initializer::Impl {
       if (!known) std::swap(order[kept++], order[k]);
     }
     solution_count = std::min(kept, kMaxMinima);
-    for (int k = 0; k < solution_count; ++k)
-      for (int stage = 0; stage < 3; ++stage) refiner.refine(4, &solution(k).state);
+    for (int k = 0; k < solution_count; ++k) to_bottom(k);
     rank(solution_count);
     if (solution_count < 2 || same_motion(solution(0).state.T_view_ref[last], solution(1).state.T_view_ref[last]))
       add_other_motion_of_plane(views);
