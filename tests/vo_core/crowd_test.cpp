@@ -203,26 +203,6 @@ TEST(Crowd, BetweenMoversOnlyPointsThatWereRightBeforeProveAPose) {
   EXPECT_TRUE(fly(order, options).frames.back().tracked);
 }
 
-TEST(Crowd, WhatIsSeenInAGapBetweenMoversIsNoStepAside) {
-  // A fifth of each picture is left, blurred in every third: a step aside and a turn look alike there. The camera's
-  // mass tells which it was.
-  auto order = shots({{0, kFree - 1, 0.0}, {kFree, kFree + 29, 0.8}});
-  for (std::size_t i = kFree; i < order.size(); i += 3) order[i].blur = 14;
-  const CameraModel camera = camera_of(640);
-  const auto worst = [&](const TrackerOptions& options) {
-    const Flight flight = fly(order, options, camera);
-    const double scale = scale_of(flight, order, kFree);
-    double off = 0.0;
-    for (std::size_t i = kFree; i < order.size(); ++i)
-      if (flight.frames[i].tracked) off = std::max(off, off_by(flight, order, i, scale));
-    return off;
-  };
-  TrackerOptions massless;
-  massless.motion.acceleration = massless.motion.turn_acceleration = 1e6;
-  EXPECT_LT(worst({}), 0.03);
-  EXPECT_GT(worst(massless), 0.045);
-}
-
 TEST(Crowd, ACameraThatIsPushedIsFollowed) {
   // A step of six pictures' way within one, to a tracker that takes its camera for very heavy: the picture says better.
   auto order = shots({{0, kFree - 1, 0.0}, {kFree + 6, kFree + 15, 0.0}});

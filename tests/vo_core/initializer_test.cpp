@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 #include <memory>
+#include <utility>
 
 #include "hal/rt/alloc_hook.h"
 #include "hal/rt/rt_scope.h"
@@ -33,11 +34,12 @@ struct Shot {
 
 using Shots = std::vector<std::unique_ptr<Shot>>;
 
-Shots shoot(const SyntheticScene& scene, int n, SE3 (*motion)(int), bool flicker = false) {
+Shots shoot(const SyntheticScene& scene, int n, SE3 (*motion)(int), bool flicker = false, unsigned seed = 0,
+            double noise = 2.0) {
   Shots shots;
   for (int k = 0; k < n; ++k) {
     Picture p = scene.render(camera(), motion(k), flicker ? 1.0 - 0.04 * k : 1.0, flicker ? 3.0 * k : 0.0);
-    p.add_noise(2.0, static_cast<unsigned>(k + 1));
+    p.add_noise(noise, seed + static_cast<unsigned>(k + 1));
     shots.push_back(std::make_unique<Shot>(std::move(p), motion(k)));
   }
   return shots;
@@ -131,33 +133,38 @@ SE3 ahead_then_aside(int frame) {
 }
 
 TEST(Initializer, WhereAnotherMotionCostsHardlyMoreTheFirstMapWaitsForOneThatTells) {
-  static const Shots shots = shoot(SyntheticScene::plane(), 24, ahead_then_aside);
-  Initializer init(camera(), {});
-  int ambiguous = 0;
-  InitReport report;
-  std::size_t frames = 0;
-  while (frames < shots.size() && report.status != InitStatus::kDone) {
-    report = init.add_frame(shots[frames++]->pyramid.view(), {});
-    if (report.ambiguity > InitializerOptions{}.max_ambiguity) ++ambiguous;
-    if (frames <= kAhead) {
-      ASSERT_NE(report.status, InitStatus::kDone) << frames;
-    }
-    if (frames == kAhead) {
-      EXPECT_EQ(report.status, InitStatus::kAmbiguous);
-    }
-  }
-  EXPECT_GE(ambiguous, 2);
-  ASSERT_EQ(report.status, InitStatus::kDone);
-  EXPECT_LE(report.ambiguity, InitializerOptions{}.max_ambiguity);
-  expect_good_map(init, SyntheticScene::plane(), shots[frames - 1]->T_cam_world);
-  // Who does not wait takes the wrong one.
   InitializerOptions hasty;
   hasty.max_ambiguity = 1;
-  Initializer without(camera(), hasty);
-  const Outcome r = run(&without, shots);
-  ASSERT_EQ(r.report.status, InitStatus::kDone);
-  EXPECT_LE(r.frames, static_cast<std::size_t>(kAhead));
-  EXPECT_GT(scenes::direction_error_deg(without.T_cur_ref(), shots[r.frames - 1]->T_cam_world), 10);
+  int wrong = 0;
+  // At 4 grey levels many patches hardly stand out, and must be kept when they are cut anew.
+  for (const auto& [noise, seed] : {std::pair(4.0, 0u), {4.0, 100u}, {10.0, 100u}, {10.0, 200u}}) {
+    const Shots shots = shoot(SyntheticScene::plane(), 24, ahead_then_aside, false, seed, noise);
+    Initializer init(camera(), {});
+    int ambiguous = 0;
+    InitReport report;
+    std::size_t frames = 0;
+    while (frames < shots.size() && report.status != InitStatus::kDone) {
+      report = init.add_frame(shots[frames++]->pyramid.view(), {});
+      if (report.ambiguity > InitializerOptions{}.max_ambiguity) ++ambiguous;
+      if (frames <= kAhead) {
+        ASSERT_NE(report.status, InitStatus::kDone) << frames;
+      }
+      if (frames == kAhead) {
+        EXPECT_EQ(report.status, InitStatus::kAmbiguous);
+      }
+    }
+    EXPECT_GE(ambiguous, 2);
+    ASSERT_EQ(report.status, InitStatus::kDone);
+    EXPECT_LE(report.ambiguity, InitializerOptions{}.max_ambiguity);
+    expect_good_map(init, SyntheticScene::plane(), shots[frames - 1]->T_cam_world);
+    // Who does not wait takes now this one, now that.
+    Initializer without(camera(), hasty);
+    const Outcome r = run(&without, shots);
+    ASSERT_EQ(r.report.status, InitStatus::kDone);
+    EXPECT_LE(r.frames, static_cast<std::size_t>(kAhead));
+    wrong += scenes::direction_error_deg(without.T_cur_ref(), shots[r.frames - 1]->T_cam_world) > 10;
+  }
+  EXPECT_GT(wrong, 0);
 }
 
 TEST(Initializer, PureRotationIsRefused) {

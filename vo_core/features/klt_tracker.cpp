@@ -55,9 +55,11 @@ struct KltTracker::Impl {
   /// As a picture shows it to which track.warp leads; the coarse patches only where they have become stale. False if
   /// the fine one leaves the reference picture or has no texture.
   bool cut(const KltTrack& track, bool for_the_first_time, Patches* patch) const {
+    // Between pixels a fourth of the noise is left, and of its gradients.
+    const float least = options.min_eigenvalue * (for_the_first_time ? 1.0f : 0.25f);
     const auto cut_level = [&](int level, auto* out) {
       return klt::make_template(reference.level[level], to_level(track.px_ref, level), track.warp,
-                                grey_noise_at(grey_noise, level), options.min_eigenvalue, out);
+                                grey_noise_at(grey_noise, level), least, out);
     };
     if (!cut_level(track.level, &patch->fine)) return false;
     if (!for_the_first_time && !differ(track.warp, patch->coarse_warp, kStaleCoarse)) return true;

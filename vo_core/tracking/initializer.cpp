@@ -61,6 +61,7 @@ struct Initializer::Impl {
 
   std::vector<Vec2> gathered, ref_px, cur_px;
   std::vector<double> scratch, depth_sigma;
+  std::vector<double> spread;  ///< of a point's relative depth, from motion to motion that explains the tracks
   std::vector<std::uint8_t> good;
   std::array<Solution, 4> solutions;
   std::array<int, 4> order{};  ///< of the solutions, best first
@@ -74,7 +75,7 @@ struct Initializer::Impl {
   Impl(const CameraModel& c, const InitializerOptions& o)
       : camera(c), options(o), tracks(c, o.readout), two_view(two_view_options(o)) {
     for (auto* v : {&gathered, &ref_px, &cur_px}) v->resize(kMaxTracks);
-    for (auto* v : {&scratch, &depth_sigma}) v->resize(kMaxTracks);
+    for (auto* v : {&scratch, &depth_sigma, &spread}) v->resize(kMaxTracks);
     good.resize(kMaxTracks);
     points.resize(kMaxTracks);
   }
@@ -194,9 +195,10 @@ struct Initializer::Impl {
     return accepted;
   }
 
-  /// If the points are a plane, there is a second motion that shows it alike: the last solution, as it is. Elsewhere it
-  /// costs far more. It is not followed to its bottom: on a climb the valley between both is flat, and what has slid to
-  /// its other end tells nothing of how long it is.
+  /// If the points are a plane, there is a second motion that shows it alike: as the last two solutions, as it is and
+  /// at the bottom from there. Elsewhere that falls back into the best one, or costs far more. On a climb the valley
+  /// between both is flat: what has slid to its other end no longer tells how long it is, what has not is dearer than
+  /// it need be.
   void add_other_motion_of_plane(int views) {
     const Solution& best = solution(0);
     const SE3& T = best.state.T_view_ref[views - 1];
@@ -210,11 +212,12 @@ struct Initializer::Impl {
     if (!other_motion_of_plane(T, A.ldlt().solve(b), &other.T_b_a)) return;
     other.T_b_a.t.normalize();
     other.model = InitModel::kHomography;
-    // `order` holds every solution once: what is kept stands first, the place after it is free.
-    const int newest = order[solution_count];
-    solve(other, views, 0, &solutions[newest]);
-    rank(++solution_count);
-    if (order[0] == newest) to_bottom(0);
+    // `order` holds every solution once: what is kept stands first, the two places after it are free.
+    solve(other, views, 0, &solution(solution_count));
+    solution(solution_count + 1) = solution(solution_count);
+    to_bottom(solution_count + 1);
+    solution_count += 2;
+    rank(solution_count);
   }
 
   /// What a second minimum says of the first, if it fits about as well. With other depths it makes the map ambiguous.
@@ -229,7 +232,7 @@ struct Initializer::Impl {
       report->ambiguity = std::max(report->ambiguity, ratio);
     } else if (ratio > options.max_ambiguity) {
       for (std::size_t p = 0; p < living(); ++p)
-        if (good[p] != 0) depth_sigma[p] = std::hypot(depth_sigma[p], apart(p));
+        if (good[p] != 0) spread[p] = std::max(spread[p], apart(p));
     }
   }
 
@@ -336,8 +339,9 @@ struct Initializer::Impl {
     if (report->points < options.min_points) return;
     report->status = InitStatus::kNoParallax;
     if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n})) return;
+    std::fill(spread.begin(), spread.end(), 0.0);
     for (int k = 1; k < solution_count; ++k) compare(s, solution(k), report);
-
+    for (std::size_t p = 0; p < n; ++p) depth_sigma[p] = std::hypot(depth_sigma[p], spread[p]);
     report->depth_uncertainty = median_of_good([&](std::size_t p) { return depth_sigma[p]; });
     const Vec3 centre = s.state.T_view_ref[last].centre();
     report->median_parallax_deg = median_of_good([&](std::size_t p) {
