@@ -1,4 +1,5 @@
 // Every kind of bad picture in the middle of tum_fr1_xyz: nothing wrong is told, and it goes on afterwards.
+#include <array>
 #include <cstdio>
 #include <gtest/gtest.h>
 #include <numbers>
@@ -66,13 +67,13 @@ class BadPictures : public testing::Test {
     return keep(std::move(p));
   }
 
-  Outcome fly_and_judge(const std::vector<Shown>& shown, std::size_t fault_end) const {
+  Outcome fly_and_judge(const std::vector<Shown>& shown, std::size_t fault_end, std::size_t fault = kFault) const {
     const auto records = fly(recording_.calibration, shown);
     EXPECT_EQ(records.size(), shown.size());
     Outcome o;
-    for (std::size_t i = 0; i < kFault; ++i)
+    for (std::size_t i = 0; i < fault; ++i)
       if (records[i].tracked) o.map_before = records[i].map_id;
-    const auto e = errors(recording_, shown, records, o.map_before, [](std::size_t i) { return i < kFault; });
+    const auto e = errors(recording_, shown, records, o.map_before, [fault](std::size_t i) { return i < fault; });
     for (std::size_t i = 0; i < records.size(); ++i) {
       const app::FrameRecord& r = records[i];
       EXPECT_FALSE(r.fate == app::FrameFate::kProcessed && r.reason.view().empty())
@@ -81,7 +82,7 @@ class BadPictures : public testing::Test {
       const bool again = i > 0 && shown[i].pixels != nullptr && shown[i].pixels == shown[i - 1].pixels;
       EXPECT_EQ(r.tracked, !again && r.state == vo::State::kTracking) << i;
       if (!r.tracked) continue;
-      if (i >= kFault && i < fault_end) ++o.tracked_in_fault;
+      if (i >= fault && i < fault_end) ++o.tracked_in_fault;
       if (shown[i].truth_index < 0) ++o.wrong;
       if (e[i].known && (e[i].metres > kWrongMetres || e[i].degrees > kWrongDegrees)) {
         ++o.wrong;
@@ -94,7 +95,7 @@ class BadPictures : public testing::Test {
       }
     }
     std::printf("  tracked in the fault %d of %zu, wrong %d, back after %d, then %d of %zu\n", o.tracked_in_fault,
-                fault_end - kFault, o.wrong, o.back_after, o.tracked_after, records.size() - fault_end);
+                fault_end - fault, o.wrong, o.back_after, o.tracked_after, records.size() - fault_end);
     return o;
   }
 
@@ -140,18 +141,30 @@ TEST_F(BadPictures, FlickerInBandsIsTrackedThrough) {
 }
 
 TEST_F(BadPictures, BlurredFramesTellNothingWrong) {
-  auto shown = plain();
   constexpr int kReach = 12;  // a smear of 25 pixels along the rows
-  for (std::size_t i = kFault; i < kFault + 10; ++i) {
-    const Pixels& from = *shown[i].pixels;
-    shown[i].pixels = changed(from, [&](int, int x, int y) {
-      double sum = 0;
-      for (int d = -kReach; d <= kReach; ++d)
-        sum += from[static_cast<std::size_t>(y * width_ + std::clamp(x + d, 0, width_ - 1))];
-      return sum / (2 * kReach + 1);
-    });
+  constexpr std::array kFaults{60u, 70u, 80u, 90u, 100u};
+  int at_once = 0;
+  for (const std::size_t fault : kFaults) {
+    auto shown = plain();
+    for (std::size_t i = fault; i < fault + 10; ++i) {
+      const Pixels& from = *shown[i].pixels;
+      shown[i].pixels = changed(from, [&](int, int x, int y) {
+        double sum = 0;
+        for (int d = -kReach; d <= kReach; ++d)
+          sum += from[static_cast<std::size_t>(y * width_ + std::clamp(x + d, 0, width_ - 1))];
+        return sum / (2 * kReach + 1);
+      });
+    }
+    const Outcome o = fly_and_judge(shown, fault + 10, fault);
+    EXPECT_EQ(o.wrong, 0) << fault;
+    EXPECT_EQ(o.map_after, o.map_before) << fault;
+    ASSERT_GE(o.back_after, 0) << fault;
+    at_once += o.back_after <= 1;
+    // What is found in a blurred picture, and not confirmed, costs the last frame before: then the camera has to come
+    // to where a keyframe was. Of eight places that was so at one, then (33 pictures) as with the program before (18).
+    EXPECT_LE(o.back_after, 45) << fault;
   }
-  expect_back(fly_and_judge(shown, kFault + 10));
+  EXPECT_GE(at_once, static_cast<int>(kFaults.size()) - 1);
 }
 
 TEST_F(BadPictures, BlackForHalfASecondAndWhiteForTwoAreNotTracked) {

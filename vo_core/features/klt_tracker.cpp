@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <span>
 #include <vector>
 
 #include "hal/rt/count.h"
@@ -43,14 +44,11 @@ struct KltTracker::Impl {
   PictureWarp warp;  ///< from the reference picture to the latest
   std::vector<KltTrack> tracks = std::vector<KltTrack>(kMaxTracks);
   std::vector<Patches> patches = std::vector<Patches>(kMaxTracks);
-  std::vector<Vec2f> from, to;
-  std::vector<int> lost;  ///< in the latest picture
+  std::array<Vec2f, kMaxTracks> from, to;  ///< of those found in the latest picture at once
+  std::array<int, kMaxTracks> lost;        ///< the others
   int next_refreshed = 0;
 
-  explicit Impl(const KltOptions& o) : options(o) {
-    for (auto* v : {&from, &to}) v->reserve(kMaxTracks);
-    lost.reserve(kMaxTracks);
-  }
+  explicit Impl(const KltOptions& o) : options(o) {}
 
   /// As a picture shows it to which track.warp leads; the coarse patches only where they have become stale. False if
   /// the fine one leaves the reference picture or has no texture.
@@ -140,25 +138,22 @@ int KltTracker::set_reference(const rt::PyramidView& reference, std::span<const 
 
 int KltTracker::track(const rt::PyramidView& picture) {
   Impl& m = *impl_;
-  m.from.clear();
-  m.to.clear();
-  m.lost.clear();
-  int alive = 0;
+  int alive = 0, lost = 0;
   for (int i = 0; i < m.count; ++i) {
     KltTrack& track = m.tracks[i];
     if (!track.alive) continue;
     track.alive = m.find(picture, m.patches[i], track.px + track.way, &track);
     if (!track.alive) {
-      m.lost.push_back(i);
+      m.lost[lost++] = i;
       continue;
     }
-    m.from.push_back(track.px_ref + track.centre_ref);
-    m.to.push_back(track.px + track.centre);
+    m.from[alive] = track.px_ref + track.centre_ref;
+    m.to[alive] = track.px + track.centre;
     ++alive;
   }
   const PictureWarp before = m.warp;
-  if (!m.warp.fit(m.from, m.to)) return alive;
-  for (const int i : m.lost) {
+  if (!m.warp.fit(std::span(m.from).first(alive), std::span(m.to).first(alive))) return alive;
+  for (const int i : std::span(m.lost).first(lost)) {
     KltTrack& track = m.tracks[i];
     const Vec2f way = m.warp(track.px_ref) - before(track.px_ref);
     track.alive = true;
