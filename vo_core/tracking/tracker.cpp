@@ -227,6 +227,11 @@ FrameResult Tracker::track(const FrameInput& in) {
 }
 
 void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
+  if (kind != FrameEvidence::Kind::kUnproved) {
+    retire(&followed_);
+  } else if (unproved_ == 0) {
+    keep_followed();
+  }
   adopt_features();
   if (frame->crowded) landmarks_->learn(*map_, options_.landmarks.described_a_tracked_frame);
   using Kind = FrameEvidence::Kind;
@@ -248,7 +253,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
     // Of the poses as measured, not as aligned.
     if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
-    have_velocity_ = dt > 0.0;
+    frame->velocity_known = dt > 0.0;
     if (frame->goes_on) {
       motion_.measured(frame->predicted, frame->T_cam_world, with_prior_);
     } else {
@@ -261,8 +266,8 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     // How fast the camera moves is known from where it was seen last, too roughly for a rolling shutter's keyframe,
     // well enough to look there in the next picture where light changes from row to row (locate()).
     const rt::TimeNs gap = frame->t_capture_ns - seen_.t_capture_ns;
-    have_velocity_ = seen_.known && gap > 0 && gap <= options_.last_frame_gap_ns;
-    if (have_velocity_)
+    frame->velocity_known = seen_.known && gap > 0 && gap <= options_.last_frame_gap_ns;
+    if (frame->velocity_known)
       frame->velocity = (frame->T_cam_world * seen_.T_cam_world.inverse()).log() / rt::to_seconds(gap);
     ++unproved_;
   }

@@ -189,6 +189,8 @@ class Tracker {
     bool crowded = false;      ///< much of it is masked
     SE3 T_cam_world;
     Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
+    bool velocity_known = false;   ///< velocity is that of the pose against the one before
+    double gathered = 0.0;         ///< evidence over the frames that led to the pose [nats]
     PosePrediction predicted;      ///< by how the camera moved
     bool goes_on = false;          ///< the pose is one that this leads to
     PosePrior expected;
@@ -245,6 +247,9 @@ class Tracker {
   void take_points(SeenPoints* points) const;
   double scene_depth(const SE3& T_cam_world, double* min_depth);
   void retire(Frame* frame);
+  /// last_ and its features step aside for a frame found by guess, and come back where that was not confirmed.
+  void keep_followed();
+  void go_back_to_followed();
   /// Messages that may be sent with this frame. Looked at once: what the mapper takes meanwhile counts for the next.
   int room() {
     if (room_ < 0) {
@@ -290,6 +295,7 @@ class Tracker {
   Frame first_;            ///< first view of the initialisation
   CoarseMask first_mask_;  ///< its dynamic pixels, kept until it is sent
   Frame last_;             ///< last frame with a pose
+  Frame followed_;         ///< the last one that was followed, while last_ was found by guess and is unproved
   struct Seen {
     SE3 T_cam_world;
     rt::TimeNs t_capture_ns = 0;
@@ -297,17 +303,17 @@ class Tracker {
   };
   Seen seen_;                   ///< where the camera was when a pose last held, whatever became of guesses since then
   int untold_ = 0;              ///< frames between movers that were followed since one of them was told
-  bool have_velocity_ = false;  ///< last_.velocity is that of its pose against the one before
   int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
   double evidence_ = 0.0;       ///< for the pose of the last measure() [nats]
   double vouched_ = 0.0;        ///< between movers what vouched points say of it, elsewhere all of it
-  double gathered_ = 0.0;       ///< for last_, over the frames that led to it
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;
   std::uint64_t picture_hash_ = 0;
   bool have_picture_hash_ = false;
   std::array<FrameFeature, kMaxFrameFeatures> features_, features_scratch_;
+  std::array<FrameFeature, kMaxFrameFeatures> followed_features_;
+  int followed_count_ = 0;
   int feature_count_ = 0;
   int map_feature_count_ = 0;  ///< the first so many of them lie outside the mask: what a keyframe may keep
   int match_count_ = 0;        ///< of the last measure(), in features_scratch_ and measurements_

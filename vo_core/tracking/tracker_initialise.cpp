@@ -134,10 +134,10 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
   keyframe_mask_.assign(current.mask);
   forget_first_view();
   last_ = current;
-  gathered_ = options_.most_evidence;
+  last_.gathered = options_.most_evidence;
   last_.mask = {};
   seen_ = {current.T_cam_world, current.t_capture_ns, true};
-  have_velocity_ = interval_s > 0.0;
+  last_.velocity_known = interval_s > 0.0;
   ++map_id_;
   result->tracked = n >= options_.health.min_measurements;
   result->is_keyframe = true;

@@ -215,16 +215,14 @@ bool Tracker::find_in_map(const FrameInput& in, Frame* frame, FrameResult* resul
                                                 recognise_landmarks(attempt / 2, false, frame, result);
   if (!guessed || !measure(in, false, frame, result) || !measure(in, false, frame, result)) return false;
   if (!proves(options_.promising, evidence_) || !as_expected(*frame)) return false;
-  gathered_ = std::min(options_.most_evidence, evidence_);
+  frame->gathered = std::min(options_.most_evidence, evidence_);
   return true;
 }
 
 bool Tracker::find_beside(const FrameInput& in, Frame* frame, FrameResult* result) {
   const PosePrediction predicted = frame->predicted;
-  const double gathered = gathered_;
   if (find_in_map(in, frame, result) && proves(options_.told, vouched_)) return true;
   frame->predicted = predicted;
-  gathered_ = gathered;
   return false;
 }
 
@@ -241,7 +239,7 @@ bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, 
   const Vec6 aligned_velocity = frame->velocity;
   const bool coarser = near && feature_count_ < options_.plenty;
   const bool held = measure(in, coarser, frame, result) && as_expected(*frame);
-  if ((held && evidence_ >= options_.held) || !near || !have_velocity_) return held;
+  if ((held && evidence_ >= options_.held) || !near || !last_.velocity_known) return held;
   // Where light changes from row to row the pictures may not be laid on each other at all, and where a mover fills them
   // they are laid on the mover. Points are found all the same, each with a gain of its own, from where the motion goes
   // on as it was; that is a guess, and must convince.
@@ -269,7 +267,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     SE3 guess;
     if (frame->predicted.known) {
       guess = frame->predicted.T_cam_world * last_.T_cam_world.inverse();
-    } else if (have_velocity_ && near && gap > 0) {
+    } else if (last_.velocity_known && near && gap > 0) {
       guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
     } else if (frame->expected.known) {
       guess =
@@ -278,13 +276,13 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     if (beside && find_beside(in, frame, result)) return found(*result);
     if (look_near_last(in, guess, near, frame, result)) {
       const bool followed = near && unproved_ == 0;
-      const double before = near || unproved_ > 0 ? gathered_ : 0.0;
+      const double before = near || unproved_ > 0 ? last_.gathered : 0.0;
       const double gathered = std::min(options_.most_evidence, before + std::max(evidence_, options_.worst_frame));
       // After a gap it takes a second look, unless the camera was expected here: then there are two witnesses.
       const bool first_look = !near && unproved_ == 0 && !frame->expected.known;
       if (!first_look && proves(followed || frame->expected.known ? options_.held : options_.sure, gathered)) {
         unproved_ = 0;
-        gathered_ = gathered;
+        frame->gathered = gathered;
         // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
         // movers what a pose agrees with may be one of them, whose motion is another.
         const bool enough = result->measurements >= options_.health.min_measurements;
@@ -293,15 +291,11 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
         return told ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
-        gathered_ = gathered;
+        frame->gathered = gathered;
         return found(*result);
       }
     }
-    if (unproved_ > 0) {
-      unproved_ = 0;
-      retire(&last_);
-      feature_count_ = 0;
-    }
+    if (unproved_ > 0) go_back_to_followed();
   } else if (find_in_map(in, frame, result)) {
     return found(*result);
   }

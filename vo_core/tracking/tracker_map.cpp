@@ -23,6 +23,21 @@ void Tracker::retire(Frame* frame) {
   *frame = Frame{};
 }
 
+void Tracker::keep_followed() {
+  retire(&followed_);
+  std::swap(followed_, last_);
+  followed_count_ = feature_count_;
+  std::copy_n(features_.begin(), feature_count_, followed_features_.begin());
+}
+
+void Tracker::go_back_to_followed() {
+  unproved_ = 0;
+  retire(&last_);
+  std::swap(last_, followed_);
+  feature_count_ = last_.slot >= 0 ? followed_count_ : 0;
+  std::copy_n(followed_features_.begin(), feature_count_, features_.begin());
+}
+
 void Tracker::begin_map() {
   forget_first_view();
   drop_map();
@@ -35,6 +50,7 @@ void Tracker::forget_first_view() {
 
 void Tracker::drop_map() {
   retire(&last_);
+  retire(&followed_);
   releases_.add_all(*map_);
   map_->clear();
   landmarks_->forget();
@@ -46,7 +62,6 @@ void Tracker::drop_map() {
   last_keyframe_id_ = 0;
   frames_since_keyframe_ = 0;
   feature_count_ = 0;
-  have_velocity_ = false;
   unproved_ = untold_ = 0;
   seen_ = {};
   relocalise_attempt_ = 0;
@@ -89,7 +104,7 @@ void Tracker::apply(const MapDelta& d) {
   // The last frame moves with the keyframe it hangs on, and so do keyframes that the mapper did not have yet.
   const int anchor = map_->find_keyframe(last_keyframe_id_);
   const SE3 T_world_anchor = anchor >= 0 ? map_->keyframe(anchor).T_kf_world.inverse() : SE3();
-  const std::array hanging{&last_.T_cam_world, &seen_.T_cam_world};
+  const std::array hanging{&last_.T_cam_world, &followed_.T_cam_world, &seen_.T_cam_world};
   std::array<SE3, hanging.size()> T_hanging_anchor;
   for (std::size_t i = 0; i < hanging.size(); ++i) T_hanging_anchor[i] = *hanging[i] * T_world_anchor;
   std::array<SE3, kMaxKeyframes> T_next_previous;
@@ -126,8 +141,8 @@ void Tracker::apply(const MapDelta& d) {
     if (place < 0) continue;
     const int slot = map_->keyframe(place).slot;
     map_->remove_keyframe(place);
-    // The last frame may be this very keyframe: it then keeps the reference until it is retired.
-    if (slot != last_.slot) releases_.add(slot, 1);
+    // The last frames may be this very keyframe: they then keep the reference until they are retired.
+    if (slot != last_.slot && slot != followed_.slot) releases_.add(slot, 1);
   }
 }
 
