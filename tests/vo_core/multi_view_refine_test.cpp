@@ -1,11 +1,13 @@
 #include "vo_core/map/multi_view_refine.h"
 
 #include <algorithm>
+#include <array>
 #include <gtest/gtest.h>
 
 #include "tests/vo_core/numeric_jacobian.h"
 #include "tests/vo_core/scene_points.h"
 #include "vo_core/geometry/rotation_fit.h"
+#include "vo_core/map/inverse_depth_rows.h"
 
 namespace godwit::vo {
 namespace multi_view_refine_test {
@@ -13,26 +15,28 @@ namespace multi_view_refine_test {
 using namespace scenes;  // NOLINT: the scenes of this folder's tests
 constexpr double kFocal = 500.0;
 
-TEST(InverseDepthResidual, JacobiansAgreeWithNumericOnes) {
+TEST(InverseDepthTerms, JacobiansAgreeWithNumericOnes) {
   const SE3 T(so3_exp(Vec3(0.1, -0.2, 0.05)), Vec3(0.3, -0.2, 0.1));
-  const Vec2 ray(0.3, -0.25), measured(0.2, -0.1);
+  const Vec3 ray(0.3, -0.25, 1.0);
   const double rho = 0.4;
-  InverseDepthResidual e;
-  ASSERT_TRUE(e.evaluate(T, ray, rho, measured, kFocal));
-  const auto residual = [&](const SE3& pose, double inverse_depth) {
-    InverseDepthResidual there;
-    EXPECT_TRUE(there.evaluate(pose, ray, inverse_depth, measured, kFocal));
-    return there.r;
+  const auto prediction = [&](const SE3& pose, double inverse_depth) {
+    return Vec2(kFocal * (pose.R * ray + inverse_depth * pose.t).hnormalized());
   };
-  EXPECT_TRUE(test::agrees(e.J_t, test::numeric_jacobian<3>([&](const Vec3& d) {
-                             return residual({T.R, T.t + d}, rho);
+  const Vec3 q0 = T.R * ray, q = q0 + rho * T.t;
+  InverseDepthTerms<double> e;
+  e.set({q0.x(), q0.y(), q0.z()}, {T.t.x(), T.t.y(), T.t.z()}, rho, q.x() / q.z(), q.y() / q.z(), kFocal / q.z());
+  Mat23 J_t, J_w;
+  J_t << e.J0[0], e.J0[1], e.J0[2], e.J1[0], e.J1[1], e.J1[2];
+  J_w << e.J0[3], e.J0[4], e.J0[5], e.J1[3], e.J1[4], e.J1[5];
+  EXPECT_TRUE(test::agrees(J_t, test::numeric_jacobian<3>([&](const Vec3& d) {
+                             return prediction({T.R, T.t + d}, rho);
                            })));
-  EXPECT_TRUE(test::agrees(e.J_w, test::numeric_jacobian<3>([&](const Vec3& d) {
-                             return residual({so3_exp(d) * T.R, T.t}, rho);
+  EXPECT_TRUE(test::agrees(J_w, test::numeric_jacobian<3>([&](const Vec3& d) {
+                             return prediction({so3_exp(d) * T.R, T.t}, rho);
                            })));
   using One = Eigen::Matrix<double, 1, 1>;
-  EXPECT_TRUE(
-      test::agrees(e.J_rho, test::numeric_jacobian<1>([&](const One& d) { return residual(T, rho + d.value()); })));
+  EXPECT_TRUE(test::agrees(Vec2(e.rho0, e.rho1),
+                           test::numeric_jacobian<1>([&](const One& d) { return prediction(T, rho + d.value()); })));
 }
 
 TEST(RotationFit, DerivativesAreThoseOfDifferences) {
@@ -54,9 +58,15 @@ TEST(RotationFit, DerivativesAreThoseOfDifferences) {
   EXPECT_FALSE(rotation_residual(so3_exp(Vec3(0, 3.1, 0)), Vec2(0, 0), Vec2(0, 0), kFocal, &r, &J)) << "behind";
 }
 
-TEST(InverseDepthResidual, PointBehindTheViewIsRefused) {
-  InverseDepthResidual e;
-  EXPECT_FALSE(e.evaluate({Mat3::Identity(), Vec3(0, 0, -3)}, Vec2(0, 0), 0.5, Vec2(0, 0), kFocal));
+TEST(InverseDepthRows, PointsBehindTheViewAreCountedAndLeftOut) {
+  const std::array<double, 4> zero{}, rho{0.5, 0.1, 0.0, 0.0};
+  Mat6 A;
+  Vec6 b;
+  const InverseDepthRows rows{zero.data(), zero.data(), rho.data(), zero.data(), zero.data(), 2, kFocal};
+  EXPECT_EQ(build_rows({Mat3::Identity(), Vec3(0, 0, -3)}, rows, 1.0, &A, &b, nullptr), 1);
+  const InverseDepthRows behind{zero.data(), zero.data(), rho.data(), zero.data(), zero.data(), 1, kFocal};
+  EXPECT_EQ(build_rows({Mat3::Identity(), Vec3(0, 0, -3)}, behind, 1.0, &A, &b, nullptr), 1);
+  EXPECT_EQ(A.norm(), 0.0);
 }
 
 struct Problem {

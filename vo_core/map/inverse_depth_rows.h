@@ -9,7 +9,7 @@
 namespace godwit::vo {
 
 /// One residual (r0, r1) [px] and its derivatives: J[k], the rows' entries by t and then by the rotation; rho0, rho1 by
-/// the inverse depth. Real: double, or a vector of numbers. Where the point lies before the view: InverseDepthResidual.
+/// the inverse depth. Real: double, or a vector of numbers. Valid where the point lies before the view.
 template <typename Real>
 struct InverseDepthTerms {
   Real r0, r1, rho0, rho1;

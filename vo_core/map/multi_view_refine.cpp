@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <hwy/highway.h>
 #include <limits>
 #include <vector>
 
@@ -10,6 +11,7 @@
 
 namespace godwit::vo {
 namespace {
+namespace hn = hwy::HWY_NAMESPACE;
 
 constexpr int kMaxViews = MultiViewState::kMaxViews;
 constexpr int kRoom = MultiViewState::kMaxPoints;
@@ -22,6 +24,9 @@ constexpr double kMedianRayleigh = 1.1774;
 const double kBehindCost = kCauchy * kCauchy * std::log1p(1e4 / (kCauchy * kCauchy));
 /// Weight of the residual |t_last| - 1 [px^2]; a free direction otherwise, so any large value serves.
 constexpr double kScaleWeight = 1e6;
+
+/// A step that gains less than this share of the cost is the last: of some 4000 residuals, half a sigma^2.
+constexpr double kConverged = 1e-4;
 
 /// Lower Cholesky factor in place. False if not positive definite. Plain loops: Eigen's blocked one may allocate.
 bool cholesky(std::vector<double>* matrix, int n) {
@@ -70,34 +75,27 @@ struct Normal {
 
 }  // namespace
 
-bool InverseDepthResidual::evaluate(const SE3& T, const Vec2& ray, double inverse_depth, const Vec2& measured,
-                                    double focal_px) {
-  const Vec3 q0 = T.R * Vec3(ray.x(), ray.y(), 1.0);
-  const Vec3 q = q0 + inverse_depth * T.t;
-  if (!(q.z() > 1e-3)) return false;
-  const double iz = 1.0 / q.z(), u = q.x() * iz, v = q.y() * iz;
-  r = focal_px * (Vec2(u, v) - measured);
-  const double s = focal_px * iz;
-  InverseDepthTerms<double> e;
-  e.set({q0.x(), q0.y(), q0.z()}, {T.t.x(), T.t.y(), T.t.z()}, inverse_depth, u, v, s);
-  J_t << e.J0[0], e.J0[1], e.J0[2], e.J1[0], e.J1[1], e.J1[2];
-  J_w << e.J0[3], e.J0[4], e.J0[5], e.J1[3], e.J1[4], e.J1[5];
-  J_rho = Vec2(e.rho0, e.rho1);
-  return true;
-}
-
 struct MultiViewRefiner::Impl {
   int points = 0, views = 0;
   double focal_px = 1, min_sigma_px = 0.1;
-  std::array<double, kRoom> ray_x{}, ray_y{}, odds{}, per_C{}, scaled{};
+  std::array<double, kRoom> ray_x{}, ray_y{}, odds{}, per_C{};
+  std::array<std::array<double, kRoom>, 2> scaled{};
   std::vector<double> measured_x = std::vector<double>(kMaxViews * kRoom), measured_y = measured_x;
   std::array<Normal, 2> normal;
   std::vector<double> S = std::vector<double>(kMaxDim * kMaxDim);
   std::vector<double> scratch = std::vector<double>(kMaxViews * kRoom);
   MultiViewState trial;
 
-  Vec2 ray(int point) const { return {ray_x[point], ray_y[point]}; }
-  Vec2 at(int view, int point) const { return {measured_x[view * kRoom + point], measured_y[view * kRoom + point]}; }
+  /// Of one point in one view, squared [px^2]; negative behind it.
+  double squared_error(const MultiViewState& state, int view, int p) const {
+    const SE3& T = state.T_view_ref[view];
+    const double x = ray_x[p], y = ray_y[p], rho = state.inverse_depth[p];
+    const double z = T.R(2, 0) * x + T.R(2, 1) * y + T.R(2, 2) + rho * T.t.z();
+    if (!(z > 1e-3)) return -1.0;
+    const double u = (T.R(0, 0) * x + T.R(0, 1) * y + T.R(0, 2) + rho * T.t.x()) / z - measured_x[view * kRoom + p];
+    const double v = (T.R(1, 0) * x + T.R(1, 1) * y + T.R(1, 2) + rho * T.t.y()) / z - measured_y[view * kRoom + p];
+    return focal_px * focal_px * (u * u + v * v);
+  }
   InverseDepthRows rows(int view, const MultiViewState& state) const {
     return {ray_x.data(),
             ray_y.data(),
@@ -139,16 +137,36 @@ struct MultiViewRefiner::Impl {
     const Vec3& t = state.T_view_ref[views - 1].t;  // length 1
     for (int r = 0; r < 3; ++r)
       for (int c = 0; c <= r; ++c) S[(dim - 6 + r) * kMaxDim + dim - 6 + c] += kScaleWeight * t(r) * t(c);
-    using Row = Eigen::Map<const Eigen::VectorXd>;
+    per_C.fill(0.0);
     for (int p = 0; p < points; ++p) per_C[p] = point_inverse(n, p, damping);
-    const Row per(per_C.data(), points), d(n.d.data(), points);
-    for (int r = 0; r < dim; ++r) {
-      Eigen::Map<Eigen::VectorXd> w(scaled.data(), points);
-      w = Row(&n.W[r * kRoom], points).cwiseProduct(per);
-      for (int c = 0; c <= r; ++c) S[r * kMaxDim + c] -= w.dot(Row(&n.W[c * kRoom], points));
-      g[r] -= w.dot(d);
-    }
+    for (int r = 0; r < dim; r += 2) subtract_points(n, r, g);
     return cholesky(&S, dim);
+  }
+
+  /// W C^-1 W^T and W C^-1 d, rows r and r + 1 of them, in blocks of 2 x 4: what is loaded serves twice and more. Right
+  /// of the diagonal they may write what nobody reads.
+  void subtract_points(const Normal& n, int r, double* g) {
+    const hn::CappedTag<double, 4> lanes;
+    const int step = static_cast<int>(hn::Lanes(lanes)), end = (points + 3) / 4 * 4;
+    for (int i = 0; i < 2; ++i)
+      for (int p = 0; p < end; ++p) scaled[i][p] = per_C[p] * n.W[(r + i) * kRoom + p];
+    for (int c = 0; c <= r + 1; c += 4) {
+      const double* const w = &n.W[c * kRoom];
+      std::array<hn::Vec<decltype(lanes)>, 8> sum;
+      sum.fill(hn::Zero(lanes));
+      for (int p = 0; p < end; p += step) {
+        const auto a = hn::LoadU(lanes, &scaled[0][p]), b = hn::LoadU(lanes, &scaled[1][p]);
+        for (int k = 0; k < 4; ++k) {
+          const auto column = hn::LoadU(lanes, w + k * kRoom + p);
+          sum[k] = hn::MulAdd(a, column, sum[k]);
+          sum[4 + k] = hn::MulAdd(b, column, sum[4 + k]);
+        }
+      }
+      for (int i = 0; i < 2; ++i)
+        for (int k = 0; k < 4; ++k) S[(r + i) * kMaxDim + c + k] -= hn::GetLane(hn::SumOfLanes(lanes, sum[4 * i + k]));
+    }
+    for (int i = 0; i < 2; ++i)
+      for (int p = 0; p < points; ++p) g[r + i] -= scaled[i][p] * n.d[p];
   }
 
   /// 1 / C, 0 where the point has no parallax at all and so must not move.
@@ -168,11 +186,12 @@ struct MultiViewRefiner::Impl {
       const SE3& T = state.T_view_ref[k];
       next->T_view_ref[k] = {so3_exp(-dx.tail<3>()) * T.R, T.t - dx.head<3>()};
     }
-    std::copy_n(n.d.begin(), points, scaled.begin());
+    std::array<double, kRoom>& left = scaled[0];
+    std::copy_n(n.d.begin(), points, left.begin());
     for (int r = 0; r < dim; ++r)
-      for (int p = 0; p < points; ++p) scaled[p] -= n.W[r * kRoom + p] * x[r];
+      for (int p = 0; p < points; ++p) left[p] -= n.W[r * kRoom + p] * x[r];
     for (int p = 0; p < points; ++p)
-      next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * scaled[p];
+      next->inverse_depth[p] = state.inverse_depth[p] - point_inverse(n, p, damping) * left[p];
     const double length = next->T_view_ref[views - 1].t.norm();
     if (!(length > 1e-3 && length < 1e3)) return false;
     for (int k = 0; k < views; ++k) {
@@ -232,6 +251,7 @@ double MultiViewRefiner::refine(int iterations, MultiViewState* state) {
   Normal* current = &m.normal[0];
   Normal* next = &m.normal[1];
   m.build(*state, sigma_px, current);
+  const double at_first = current->cost;
   double damping = 1e-4;
   for (int iteration = 0; iteration < iterations; ++iteration) {
     if (!m.step(*state, *current, damping, &m.trial)) {
@@ -240,7 +260,7 @@ double MultiViewRefiner::refine(int iterations, MultiViewState* state) {
     }
     m.build(m.trial, sigma_px, next);
     if (next->cost < current->cost) {
-      const bool converged = current->cost - next->cost < 1e-5 * current->cost;
+      const bool converged = current->cost - next->cost < kConverged * current->cost;
       *state = m.trial;
       std::swap(current, next);
       damping *= 0.1;
@@ -249,31 +269,32 @@ double MultiViewRefiner::refine(int iterations, MultiViewState* state) {
       damping = std::max(1e-3, damping * 10.0);
     }
   }
-  return sigma_px;
+  return at_first > 0.0 ? 1.0 - current->cost / at_first : 0.0;
 }
 
 double MultiViewRefiner::cost(const MultiViewState& state, double sigma_px) const {
   const Impl& m = *impl_;
   const double width2 = kCauchy * kCauchy * sigma_px * sigma_px;
   double sum = 0;
-  InverseDepthResidual e;
   for (int p = 0; p < m.points; ++p) {
+    double odds = 1.0;  // the logarithms' sum is that of their product
     for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray(p), state.inverse_depth[p], m.at(k, p), m.focal_px);
-      sum += front ? kCauchy * kCauchy * std::log1p(e.r.squaredNorm() / width2) : kBehindCost;
+      const double error = m.squared_error(state, k, p);
+      if (error < 0.0) sum += kBehindCost;
+      odds *= 1.0 + std::max(error, 0.0) / width2;
     }
+    sum += kCauchy * kCauchy * std::log(odds);
   }
   return sum;
 }
 
 double MultiViewRefiner::sigma(const MultiViewState& state) {
   Impl& m = *impl_;
-  InverseDepthResidual e;
   std::ptrdiff_t count = 0;
-  for (int p = 0; p < m.points; ++p) {
-    for (int k = 0; k < m.views; ++k) {
-      const bool front = e.evaluate(state.T_view_ref[k], m.ray(p), state.inverse_depth[p], m.at(k, p), m.focal_px);
-      m.scratch[count++] = front ? e.r.norm() : std::numeric_limits<double>::max();
+  for (int k = 0; k < m.views; ++k) {
+    for (int p = 0; p < m.points; ++p) {
+      const double error = m.squared_error(state, k, p);
+      m.scratch[count++] = error < 0.0 ? std::numeric_limits<double>::max() : error;
     }
   }
   if (count == 0) return m.min_sigma_px;
@@ -281,17 +302,16 @@ double MultiViewRefiner::sigma(const MultiViewState& state) {
   std::nth_element(m.scratch.begin(), middle, m.scratch.begin() + count);
   // Each point's own depth takes one of its 2 x views degrees of freedom.
   const double freedom = std::sqrt(2.0 * m.views / (2.0 * m.views - 1.0));
-  return std::max(m.min_sigma_px, std::min(*middle / kMedianRayleigh * freedom, 1e3));
+  return std::max(m.min_sigma_px, std::min(std::sqrt(*middle) / kMedianRayleigh * freedom, 1e3));
 }
 
 double MultiViewRefiner::point_rms(const MultiViewState& state, int point) const {
   const Impl& m = *impl_;
   double sum = 0;
-  InverseDepthResidual e;
   for (int k = 0; k < m.views; ++k) {
-    if (!e.evaluate(state.T_view_ref[k], m.ray(point), state.inverse_depth[point], m.at(k, point), m.focal_px))
-      return std::numeric_limits<double>::infinity();
-    sum += e.r.squaredNorm();
+    const double error = m.squared_error(state, k, point);
+    if (error < 0.0) return std::numeric_limits<double>::infinity();
+    sum += error;
   }
   return std::sqrt(sum / (2.0 * m.views));
 }

@@ -11,15 +11,6 @@
 
 namespace godwit::vo {
 
-/// One residual and its derivatives. The point lies at ray / inverse_depth in the reference view, ray = (x, y, 1).
-struct InverseDepthResidual {
-  Vec2 r;          ///< prediction - measurement [px]
-  Mat23 J_t, J_w;  ///< by T_view_ref: t + dt, exp(dw) R
-  Vec2 J_rho;      ///< by the inverse depth
-  /// False, and nothing set, if the point does not lie in front of the view. measured: normalised image plane.
-  bool evaluate(const SE3& T_view_ref, const Vec2& ray, double inverse_depth, const Vec2& measured, double focal_px);
-};
-
 /// What is estimated. The unit of length is the distance of the last view from the reference.
 struct MultiViewState {
   static constexpr int kMaxViews = 8;
@@ -50,7 +41,7 @@ class MultiViewRefiner {
 
   /// Gauss-Newton on one view's pose alone, the points standing still.
   void refine_pose(int view, int iterations, MultiViewState* state) const;
-  /// All together; at most `iterations` steps. Returns the noise estimate [px] that the weights used.
+  /// All together; at most `iterations` steps. Returns the share of the cost that was gained.
   double refine(int iterations, MultiViewState* state);
 
   /// Robust cost (Cauchy, units of sigma^2) for comparing two states of one problem with the same sigma_px.
