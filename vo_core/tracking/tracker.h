@@ -301,12 +301,12 @@ class Tracker {
     rt::TimeNs t_capture_ns = 0;
     bool known = false;
   };
-  Seen seen_;                   ///< where the camera was when a pose last held, whatever became of guesses since then
-  int untold_ = 0;              ///< frames between movers that were followed since one of them was told
-  int unproved_ = 0;            ///< last_ was found by guess: frames since then, all waiting for one that convinces
-  Reason refusal_;              ///< why the last pose was refused; no text: its measurements were too few
-  double evidence_ = 0.0;       ///< for the pose of the last measure() [nats]
-  double vouched_ = 0.0;        ///< between movers what vouched points say of it, elsewhere all of it
+  Seen seen_;              ///< where the camera was when a pose last held, whatever became of guesses since then
+  int untold_ = 0;         ///< frames between movers that were followed since one of them was told
+  int unproved_ = 0;       ///< last_ was found by guess: frames since then, all waiting for one that convinces
+  Reason refusal_;         ///< why the last pose was refused; no text: its measurements were too few
+  double evidence_ = 0.0;  ///< for the pose of the last measure() [nats]
+  double vouched_ = 0.0;   ///< between movers what vouched points say of it, elsewhere all of it
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;
   std::uint64_t picture_hash_ = 0;
