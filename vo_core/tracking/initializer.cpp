@@ -293,6 +293,18 @@ struct Initializer::Impl {
     }
   }
 
+  /// How many of the tracks that were not accepted follow one motion, whichever.
+  int agreeing_among_others() {
+    std::size_t others = 0;
+    for (std::size_t p = 0; p < living(); ++p) {
+      if (good[p] != 0) continue;
+      ref_px[others] = ref_px[p];
+      cur_px[others++] = cur_px[p];
+    }
+    constexpr std::size_t kLeast = 8;
+    return others < kLeast ? 0 : two_view.estimate({ref_px.data(), others}, {cur_px.data(), others}, focal()).inliers;
+  }
+
   void postpone(const InitReport& report);
 
   /// The decision on the packed tracks. The caller has found enough disparity and parallax.
@@ -362,6 +374,9 @@ struct Initializer::Impl {
     if (report->depth_uncertainty > options.max_depth_uncertainty) return;
     report->status = InitStatus::kAmbiguous;
     if (report->ambiguity > options.max_ambiguity) return;
+    report->status = InitStatus::kTwoMotions;
+    report->second_motion = static_cast<double>(agreeing_among_others()) / report->points;
+    if (report->second_motion > options.max_second_motion) return;
     publish(s.state, views);
     report->status = InitStatus::kDone;
   }

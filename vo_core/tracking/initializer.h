@@ -29,6 +29,10 @@ struct InitializerOptions {
   /// Robust cost of the best motion over that of a different one, at most. Of first maps among walkers with more than
   /// 0.75 three of eleven were of a wrong motion (15 degrees and more off its direction), with less two of 57.
   double max_ambiguity = 0.75;
+  /// Tracks that follow a motion of their own over those that follow the best one, at most. Where all stood still it
+  /// was 0.31 at most (415 first maps of tum_fr1_xyz, euroc_mh01 and a take-off); beside a motorway, where 62 of 160
+  /// were of the trucks, 0.60 at least in those.
+  double max_second_motion = 0.4;
   double homography_ratio = 0.4;  ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
   double sigma_px = 1.0;       ///< measurement noise in the transfer error's outlier cut
@@ -44,6 +48,7 @@ enum class InitStatus : std::uint8_t {
   kNoParallax,      ///< motion, but a rotation explains it, the rays are too parallel or the depths too uncertain
   kNoModel,         ///< neither model stands (too few inliers or points in front of the cameras)
   kAmbiguous,       ///< two different motions explain the tracks about equally well
+  kTwoMotions,      ///< many of the tracks that do not follow the best motion follow another one: which is the world's?
   kDone
 };
 
@@ -68,8 +73,9 @@ struct InitReport {
   double parallax_px = 0;        ///< median distance of the tracks from the best pure rotation
   double ratio_homography = 0;   ///< R_H
   double depth_uncertainty = 0;  ///< median of depth_sigma / depth
-  double ambiguity = 0;  ///< robust cost of the best motion over that of the next different one; 0: there is none
-  double noise_px = 0;   ///< of one coordinate of a track, from the residuals
+  double ambiguity = 0;      ///< robust cost of the best motion over that of the next different one; 0: there is none
+  double second_motion = 0;  ///< tracks that follow a motion of their own over those that follow the best one
+  double noise_px = 0;       ///< of one coordinate of a track, from the residuals
 };
 
 /// All buffers are allocated by the constructor; add_frame does not allocate and is bounded. One thread at a time.
