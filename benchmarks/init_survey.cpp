@@ -99,6 +99,8 @@ const char* name(godwit::vo::InitStatus s) {
       return "no-model";
     case S::kAmbiguous:
       return "ambiguous";
+    case S::kTurnOrWay:
+      return "turn-or-way";
     case S::kTwoMotions:
       return "two-motions";
     case S::kDone:
@@ -131,6 +133,8 @@ bool set(const std::string& assignment, godwit::vo::InitializerOptions* o) {
     o->max_depth_uncertainty = value;
   else if (key == "max_ambiguity")
     o->max_ambiguity = value;
+  else if (key == "max_baseline_uncertainty")
+    o->max_baseline_uncertainty = value;
   else if (key == "max_second_motion")
     o->max_second_motion = value;
   else if (key == "readout")

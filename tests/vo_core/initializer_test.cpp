@@ -167,6 +167,56 @@ TEST(Initializer, WhereAnotherMotionCostsHardlyMoreTheFirstMapWaitsForOneThatTel
   EXPECT_GT(wrong, 0);
 }
 
+/// The right half goes its own way, as a truck that fills it does.
+Shots half_moving(int n) {
+  Shots shots;
+  for (int k = 0; k < n; ++k) {
+    const SyntheticScene scene = SyntheticScene::general();
+    Picture p = scene.render(camera(), pose(k));
+    const Picture other = scene.render(camera(), {Mat3::Identity(), Vec3(0.05, -0.01, 0.0) * k});
+    for (int y = 0; y < 480; ++y)
+      for (int x = 320; x < 640; ++x) p(x, y) = other.view().at(x, y);
+    p.add_noise(2.0, static_cast<unsigned>(k + 1));
+    shots.push_back(std::make_unique<Shot>(std::move(p), pose(k)));
+  }
+  return shots;
+}
+
+TEST(Initializer, WhereHalfOfThePictureGoesItsOwnWayNoMapBegins) {
+  const Shots shots = half_moving(14);
+  Initializer init(camera(), {});
+  bool seen = false;
+  for (const auto& shot : shots) {
+    const InitReport report = init.add_frame(shot->pyramid.view(), {});
+    ASSERT_NE(report.status, InitStatus::kDone);
+    if (report.status != InitStatus::kTwoMotions || report.points == 0) continue;  // not tried anew at each
+    seen = true;
+    EXPECT_GT(report.second_motion, InitializerOptions{}.max_second_motion);
+  }
+  EXPECT_TRUE(seen);
+  InitializerOptions hasty;
+  hasty.max_second_motion = 100;
+  Initializer without(camera(), hasty);
+  EXPECT_EQ(run(&without, shots).report.status, InitStatus::kDone) << "one of the two, whichever";
+}
+
+TEST(Initializer, AViewTooNarrowToTellATurnFromAWayBeginsNoMap) {
+  const auto slowly = [](int k) { return SE3(so3_exp(Vec3(0.0, 0.002, 0.0) * k), Vec3(-0.012, 0.004, 0.0) * k); };
+  const Shots shots = shoot(SyntheticScene::plane(), 5, slowly);
+  Mask mask(640, 480);
+  mask.add_rectangle(80, 0, 640, 480);
+  InitializerOptions options;
+  options.min_parallax_deg = 0.4;
+  options.max_ambiguity = 1;
+  InitializerOptions hasty = options;
+  hasty.max_baseline_uncertainty = 100;
+  Initializer init(camera(), options), without(camera(), hasty);
+  EXPECT_EQ(run(&init, shots, mask.view()).report.status, InitStatus::kTurnOrWay);
+  const Outcome hurried = run(&without, shots, mask.view());
+  ASSERT_EQ(hurried.report.status, InitStatus::kDone);
+  EXPECT_GT(hurried.report.baseline_uncertainty, InitializerOptions{}.max_baseline_uncertainty);
+}
+
 TEST(Initializer, PureRotationIsRefused) {
   for (const SyntheticScene& scene : {SyntheticScene::general(), SyntheticScene::plane()}) {
     const auto shots =

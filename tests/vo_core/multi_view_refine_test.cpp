@@ -122,7 +122,7 @@ TEST(MultiViewRefine, StandsOutliersInOneView) {
 // The reported uncertainty must be what the errors show: over many trials (error / sigma)^2 is 1 on average, the common
 // scale taken out.
 TEST(MultiViewRefine, DepthSigmaIsHonest) {
-  double sum = 0;
+  double sum = 0, sum_of_baselines = 0;
   int count = 0;
   for (unsigned seed = 1; seed <= 20; ++seed) {
     MultiViewRefiner refiner;
@@ -132,13 +132,15 @@ TEST(MultiViewRefine, DepthSigmaIsHonest) {
     EXPECT_NEAR(noise, 0.3, 0.05);
     const std::vector<std::uint8_t> use(p.points.size(), 1);
     std::vector<double> sigma(p.points.size());
-    ASSERT_TRUE(refiner.relative_depth_sigma(p.state, noise, use, sigma));
+    double baseline = 0;
+    ASSERT_TRUE(refiner.relative_depth_sigma(p.state, noise, use, sigma, &baseline));
     double mean = 0;
     std::vector<double> error;
     for (std::size_t i = 0; i < p.points.size(); ++i) {
       error.push_back(std::log(p.state.inverse_depth[i] * p.points[i].z()));
       mean += error.back() / static_cast<double>(p.points.size());
     }
+    sum_of_baselines += mean * mean / (baseline * baseline);
     for (std::size_t i = 0; i < error.size(); ++i) {
       sum += (error[i] - mean) * (error[i] - mean) / (sigma[i] * sigma[i]);
       ++count;
@@ -146,6 +148,9 @@ TEST(MultiViewRefine, DepthSigmaIsHonest) {
   }
   EXPECT_GT(sum / count, 0.7);
   EXPECT_LT(sum / count, 1.4);
+  // Of 20 values: chi-square's 99.8 of 100.
+  EXPECT_GT(sum_of_baselines, 5.9);
+  EXPECT_LT(sum_of_baselines, 45.3);
 }
 
 TEST(FitRotation, LeavesNothingOverUnderPureRotationAndParallaxOtherwise) {

@@ -51,11 +51,12 @@ class MultiViewRefiner {
   /// Root mean square of one point's residuals over all views [px]; infinity if it is not in front of all of them.
   double point_rms(const MultiViewState& state, int point) const;
 
-  /// One sigma of each point's relative depth error against the mean of the points with use[i] != 0 (so the common
-  /// scale, which no picture tells, does not count), poses being uncertain too. False, and nothing written, if the
-  /// motion is not determined.
+  /// One sigma of each point's relative depth error against the mean of the points with use[i] != 0, poses being
+  /// uncertain too; and in `baseline` that of the last view's distance over the mean depth, relative, too: points side
+  /// by side may tell their depths apart and hardly a turn from a way. False, and nothing written, if the motion is not
+  /// determined.
   bool relative_depth_sigma(const MultiViewState& state, double sigma_px, std::span<const std::uint8_t> use,
-                            std::span<double> out);
+                            std::span<double> out, double* baseline);
 
  private:
   struct Impl;

@@ -359,7 +359,9 @@ struct Initializer::Impl {
     report->points = judge(s.state, report->noise_px);
     if (report->points < options.min_points) return;
     report->status = InitStatus::kNoParallax;
-    if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n})) return;
+    if (!refiner.relative_depth_sigma(s.state, report->noise_px, {good.data(), n}, {depth_sigma.data(), n},
+                                      &report->baseline_uncertainty))
+      return;
     std::fill(spread.begin(), spread.end(), 0.0);
     for (int k = 1; k < solution_count; ++k) compare(s, solution(k), report);
     for (std::size_t p = 0; p < n; ++p) depth_sigma[p] = std::hypot(depth_sigma[p], spread[p]);
@@ -372,6 +374,8 @@ struct Initializer::Impl {
     });
     if (report->median_parallax_deg < options.min_parallax_deg) return;
     if (report->depth_uncertainty > options.max_depth_uncertainty) return;
+    report->status = InitStatus::kTurnOrWay;
+    if (report->baseline_uncertainty > options.max_baseline_uncertainty) return;
     report->status = InitStatus::kAmbiguous;
     if (report->ambiguity > options.max_ambiguity) return;
     report->status = InitStatus::kTwoMotions;

@@ -26,6 +26,10 @@ struct InitializerOptions {
   /// Median of depth_sigma / depth above which the map is refused. 0.03 let climbs from a flat pad begin 4 degrees off
   /// their direction (take-off-and-land: 0.33 m instead of 0.07); with 0.01 bare ground begins later for nothing.
   double max_depth_uncertainty = 0.02;
+  /// One sigma of the baseline over the mean depth, relative, above which the map is refused. Of 499 first maps of
+  /// tum_fr1_xyz, euroc_mh01 and two take-offs 4 had more, two of those 22 degrees and more off their direction; one
+  /// that saw a tenth of the picture's width beside walkers had 0.10, and its first second was 0.8 depths off.
+  double max_baseline_uncertainty = 0.04;
   /// Robust cost of the best motion over that of a different one, at most. Of first maps among walkers with more than
   /// 0.75 three of eleven were of a wrong motion (15 degrees and more off its direction), with less two of 57.
   double max_ambiguity = 0.75;
@@ -47,6 +51,7 @@ enum class InitStatus : std::uint8_t {
   kNoMotion,        ///< disparity too small to try
   kNoParallax,      ///< motion, but a rotation explains it, the rays are too parallel or the depths too uncertain
   kNoModel,         ///< neither model stands (too few inliers or points in front of the cameras)
+  kTurnOrWay,       ///< the tracks lie too near each other to tell how far the camera went from how it turned
   kAmbiguous,       ///< two different motions explain the tracks about equally well
   kTwoMotions,      ///< many of the tracks that do not follow the best motion follow another one: which is the world's?
   kDone
@@ -70,9 +75,10 @@ struct InitReport {
   int points = 0;
   double median_disparity_px = 0;
   double median_parallax_deg = 0;
-  double parallax_px = 0;        ///< median distance of the tracks from the best pure rotation
-  double ratio_homography = 0;   ///< R_H
-  double depth_uncertainty = 0;  ///< median of depth_sigma / depth
+  double parallax_px = 0;           ///< median distance of the tracks from the best pure rotation
+  double ratio_homography = 0;      ///< R_H
+  double depth_uncertainty = 0;     ///< median of depth_sigma / depth
+  double baseline_uncertainty = 0;  ///< sigma of the baseline over the mean depth, relative
   double ambiguity = 0;      ///< robust cost of the best motion over that of the next different one; 0: there is none
   double second_motion = 0;  ///< tracks that follow a motion of their own over those that follow the best one
   double noise_px = 0;       ///< of one coordinate of a track, from the residuals

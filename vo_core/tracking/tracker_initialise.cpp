@@ -53,6 +53,11 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
       result->reason_value = static_cast<int>(100.0 * result->init.ambiguity);
       result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_ambiguity);
       break;
+    case InitStatus::kTurnOrWay:
+      result->reason = "a turn or a way? the tracks are too near each other, baseline uncertain by [%]";
+      result->reason_value = static_cast<int>(100.0 * result->init.baseline_uncertainty);
+      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_baseline_uncertainty);
+      break;
     case InitStatus::kTwoMotions:
       result->reason = "two things move, of the larger the smaller is [%]";
       result->reason_value = static_cast<int>(100.0 * result->init.second_motion);
