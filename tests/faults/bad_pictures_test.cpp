@@ -160,8 +160,8 @@ TEST_F(BadPictures, BlurredFramesTellNothingWrong) {
     EXPECT_EQ(o.map_after, o.map_before) << fault;
     ASSERT_GE(o.back_after, 0) << fault;
     at_once += o.back_after <= 1;
-    // What is found in a blurred picture, and not confirmed, costs the last frame before: then the camera has to come
-    // to where a keyframe was. Of eight places that was so at one, then (33 pictures) as with the program before (18).
+    // Where nothing is seen until the camera has gone on, it has to come to where a keyframe was. Of eight places that
+    // was so at one (33 pictures).
     EXPECT_LE(o.back_after, 45) << fault;
   }
   EXPECT_GE(at_once, static_cast<int>(kFaults.size()) - 1);

@@ -36,7 +36,7 @@ struct InitializerOptions {
   /// Tracks that follow a motion of their own over those that follow the best one, at most. Where all stood still it
   /// was 0.31 at most (415 first maps of tum_fr1_xyz, euroc_mh01 and a take-off); beside a motorway, where 62 of 160
   /// were of the trucks, 0.60 at least in those.
-  double max_second_motion = 0.4;
+  double max_second_motion = 0.5;
   double homography_ratio = 0.4;  ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
   double sigma_px = 1.0;       ///< measurement noise in the transfer error's outlier cut
