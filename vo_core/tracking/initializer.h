@@ -26,16 +26,16 @@ struct InitializerOptions {
   /// Median of depth_sigma / depth above which the map is refused. 0.03 let climbs from a flat pad begin 4 degrees off
   /// their direction (take-off-and-land: 0.33 m instead of 0.07); with 0.01 bare ground begins later for nothing.
   double max_depth_uncertainty = 0.02;
-  /// One sigma of the baseline over the mean depth, relative, above which the map is refused. Of 499 first maps of
-  /// tum_fr1_xyz, euroc_mh01 and two take-offs 4 had more, two of those 22 degrees and more off their direction; one
+  /// One sigma of the baseline over the mean depth, relative, above which the map is refused. Of 474 first maps of
+  /// tum_fr1_xyz, euroc_mh01 and two take-offs 4 had more, two of those more than 20 degrees off their direction; one
   /// that saw a tenth of the picture's width beside walkers had 0.10, and its first second was 0.8 depths off.
   double max_baseline_uncertainty = 0.04;
   /// Robust cost of the best motion over that of a different one, at most. Of first maps among walkers with more than
   /// 0.75 three of eleven were of a wrong motion (15 degrees and more off its direction), with less two of 57.
   double max_ambiguity = 0.75;
-  /// Tracks that follow a motion of their own over those that follow the best one, at most. Where all stood still it
-  /// was 0.31 at most (415 first maps of tum_fr1_xyz, euroc_mh01 and a take-off); beside a motorway, where 62 of 160
-  /// were of the trucks, 0.60 at least in those.
+  /// Tracks that follow a motion of their own over those that follow the best one, at most. In 403 right first maps
+  /// of tum_fr1_xyz, euroc_mh01 and a take-off it was 0.31 at most; beside a motorway, where 62 of 160 were of the
+  /// trucks, 0.60 at least in those.
   double max_second_motion = 0.5;
   double homography_ratio = 0.4;  ///< R_H above this picks the homography (the paper, equation for R_H)
   int ransac_iterations = 100;
