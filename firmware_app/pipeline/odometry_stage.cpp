@@ -22,8 +22,8 @@ constexpr int item_count(const vo::ExchangeRing<Item, kItems>*) {
 constexpr int kMessages = item_count(static_cast<decltype(vo::MapChannel::messages)*>(nullptr));
 
 /// Slots beside the keyframes': those of keyframes that the mapper has forgotten and the tracker not yet, the messages
-/// under way, the first view, the last frame, the one in work and the one being read. The one that was followed before a
-/// guess takes a message's: until the guess is confirmed none is sent.
+/// under way, the first view, the last frame, the one in work and the one being read. The one that was followed before
+/// a guess takes a message's: until the guess is confirmed none is sent.
 constexpr int kSlotsBesideKeyframes = 4 + kMessages + 4;
 constexpr int kFewestKeyframes = 8;
 /// Views of the initialisation where movers must be found by geometry alone. On fr1_xyz with walkers 4 views bend the

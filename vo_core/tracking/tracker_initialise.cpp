@@ -8,6 +8,39 @@
 namespace godwit::vo {
 namespace {
 constexpr float kMaxTrackErrorPx = 2.0f;
+
+/// Why no map began; no text: one did.
+Reason refusal(const InitReport& init, const InitializerOptions& limits) {
+  const auto hundredths = [](double share) { return static_cast<int>(100.0 * share); };
+  switch (init.status) {
+    case InitStatus::kFirstFrame:
+      return Reason{"first view"};
+    case InitStatus::kTooFewFeatures:
+      return Reason{"too few features in the first view", init.tracks, limits.min_tracks};
+    case InitStatus::kTracksLost:
+      return Reason{"too few tracks left, new first view", init.tracks, limits.min_tracks};
+    case InitStatus::kNoMotion:
+      return Reason{"disparity too small [px]", static_cast<int>(init.median_disparity_px),
+                    static_cast<int>(limits.min_disparity_px)};
+    case InitStatus::kNoParallax:
+      return Reason{"parallax too small [0.01 deg]", hundredths(init.median_parallax_deg),
+                    hundredths(limits.min_parallax_deg)};
+    case InitStatus::kNoModel:
+      return Reason{"neither homography nor fundamental matrix fits", init.inliers, limits.min_points};
+    case InitStatus::kAmbiguous:
+      return Reason{"two motions explain the tracks alike [0.01]", hundredths(init.ambiguity),
+                    hundredths(limits.max_ambiguity)};
+    case InitStatus::kTurnOrWay:
+      return Reason{"a turn or a way? the tracks are too near each other, baseline uncertain by [%]",
+                    hundredths(init.baseline_uncertainty), hundredths(limits.max_baseline_uncertainty)};
+    case InitStatus::kTwoMotions:
+      return Reason{"two things move, of the larger the smaller is [%]", hundredths(init.second_motion),
+                    hundredths(limits.max_second_motion)};
+    case InitStatus::kDone:
+      break;
+  }
+  return {};
+}
 }  // namespace
 
 bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begin, FrameResult* result) {
@@ -19,53 +52,10 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
   }
   result->init = initializer_.add_frame(frame.pyramid, in.mask, may_begin);
   Frame current = frame;
-  switch (result->init.status) {
-    case InitStatus::kFirstFrame:
-      result->reason = "first view";
-      break;
-    case InitStatus::kTooFewFeatures:
-      result->reason = "too few features in the first view";
-      result->reason_value = result->init.tracks;
-      result->reason_limit = options_.initializer.min_tracks;
-      break;
-    case InitStatus::kTracksLost:
-      result->reason = "too few tracks left, new first view";
-      result->reason_value = result->init.tracks;
-      result->reason_limit = options_.initializer.min_tracks;
-      break;
-    case InitStatus::kNoMotion:
-      result->reason = "disparity too small [px]";
-      result->reason_value = static_cast<int>(result->init.median_disparity_px);
-      result->reason_limit = static_cast<int>(options_.initializer.min_disparity_px);
-      break;
-    case InitStatus::kNoParallax:
-      result->reason = "parallax too small [0.01 deg]";
-      result->reason_value = static_cast<int>(100.0 * result->init.median_parallax_deg);
-      result->reason_limit = static_cast<int>(100.0 * options_.initializer.min_parallax_deg);
-      break;
-    case InitStatus::kNoModel:
-      result->reason = "neither homography nor fundamental matrix fits";
-      result->reason_value = result->init.inliers;
-      result->reason_limit = options_.initializer.min_points;
-      break;
-    case InitStatus::kAmbiguous:
-      result->reason = "two motions explain the tracks alike [0.01]";
-      result->reason_value = static_cast<int>(100.0 * result->init.ambiguity);
-      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_ambiguity);
-      break;
-    case InitStatus::kTurnOrWay:
-      result->reason = "a turn or a way? the tracks are too near each other, baseline uncertain by [%]";
-      result->reason_value = static_cast<int>(100.0 * result->init.baseline_uncertainty);
-      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_baseline_uncertainty);
-      break;
-    case InitStatus::kTwoMotions:
-      result->reason = "two things move, of the larger the smaller is [%]";
-      result->reason_value = static_cast<int>(100.0 * result->init.second_motion);
-      result->reason_limit = static_cast<int>(100.0 * options_.initializer.max_second_motion);
-      break;
-    case InitStatus::kDone:
-      break;
-  }
+  const Reason reason = refusal(result->init, options_.initializer);
+  result->reason = reason.text;
+  result->reason_value = reason.value;
+  result->reason_limit = reason.limit;
   if (result->init.status == InitStatus::kFirstFrame || result->init.status == InitStatus::kTracksLost ||
       result->init.status == InitStatus::kTooFewFeatures) {
     retire(&first_);
