@@ -41,6 +41,28 @@ TEST(CrowdVouched, AMoverWhoIsFollowedIsLeftForTheMapThatIsSeenBesideHim) {
   }
 }
 
+TEST(CrowdVouched, WhatNothingVouchedForIsNotToldWhenTheCrowdIsGone) {
+  // Between movers away from where the map began, until too few of its first points are seen to tell a pose. Then the
+  // movers are gone: what was mapped meanwhile agrees with itself, and proves no more than before. On the way back the
+  // first points do.
+  constexpr int kStep = 8, kAway = 70, kClear = 10;
+  std::vector<Shot> order;
+  order.reserve(2 * kAway);
+  for (int i = 0; i < kAway; ++i) order.push_back({kStep * i, i < 20 ? 0.0 : 0.35});
+  for (int i = kAway; i < kAway + kClear; ++i) order.push_back({kStep * i});
+  for (int i = kAway + kClear - 2; i > 20; --i) order.push_back({kStep * i});
+  TrackerOptions options = nothing_more_is_vouched_for();
+  options.crowded = 0.2;
+  const Flight flight = fly(order, options, camera_of(640));
+  ASSERT_TRUE(flight.frames[30].tracked) << flight.frames[30].reason;
+  for (std::size_t i = kAway - 1; i < kAway + kClear; ++i) {
+    EXPECT_FALSE(flight.frames[i].tracked) << i;
+    EXPECT_STREQ(flight.frames[i].reason, "too little speaks for the pose [nats]") << i;
+  }
+  EXPECT_TRUE(flight.frames.back().tracked) << flight.frames.back().reason;
+  EXPECT_EQ(flight.frames.back().map_id, flight.frames[30].map_id);
+}
+
 TEST(CrowdVouched, PointsAreVouchedForOnlyByAPictureThatSpeaksForItsPoseAsAWhole) {
   const auto order = shots({{0, kFree + 9, 0.0}});
   const Flight flight = fly(order, nothing_more_is_vouched_for());

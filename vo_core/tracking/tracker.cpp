@@ -97,6 +97,10 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
   KeyframeReason why = select_keyframe(options_.keyframe, f);
   // A keyframe that hardly hangs on the map would move as it likes in the bundle adjustment.
   if (!result->tracked && map_feature_count_ < options_.mapped_beside) why = KeyframeReason::kNone;
+  // Between movers nothing is mapped by a pose that the vouched points speak against as clearly as others speak for
+  // one.
+  const bool contradicted = untold_ > 0 && vouched_ < -options_.promising;
+  if (contradicted) why = KeyframeReason::kNone;
   result->keyframe_reason = why;
   bool sent = false;
   if (why != KeyframeReason::kNone && room() >= 1) {
@@ -114,7 +118,7 @@ void Tracker::consider_keyframe(Frame* frame, FrameResult* result) {
     }
   }
   // Ordinary frames are sent only while there is room left for keyframes.
-  if (!sent && room() >= 4) send(MessageKind::kFrame, frame, 0, -1);
+  if (!sent && !contradicted && room() >= 4) send(MessageKind::kFrame, frame, 0, -1);
   result->times.keyframe = now() - t0;
 }
 

@@ -133,9 +133,10 @@ struct TrackerOptions {
   double sure = 40.0;
   double held = 20.0;       ///< a pose that followed right ones is right with this; and a guess where it was expected
   double promising = 10.0;  ///< makes a pose worth following; 99.4 % of the right ones and 6 of 144 wrong ones have it
-  /// Between movers a pose is told with this: by points that agreed with right poses before (evidence_of_vouched(); a
-  /// mover's agree with each other) and, at most half of it, by how the camera moved. In eight severe flights, masks 85
-  /// and 120 ms old, 10 poses told are off by more than 5 cm; by the motion and all points alike, 35.
+  /// Between movers, and after them until one is told, a pose is told with this: by points that agreed with right poses
+  /// before (evidence_of_vouched(); a mover's agree with each other) and, at most half of it, by how the camera moved.
+  /// In eight severe flights, masks 85 and 120 ms old, 10 poses told are off by more than 5 cm; by the motion and all
+  /// points alike, 35.
   double told = 20.0;
   int least_measurements = 12;     ///< a pose with fewer is none
   int least_beside_prior = 7;      ///< nor with fewer, where it is known how the camera moves
@@ -302,11 +303,11 @@ class Tracker {
     bool known = false;
   };
   Seen seen_;              ///< where the camera was when a pose last held, whatever became of guesses since then
-  int untold_ = 0;         ///< frames between movers that were followed since one of them was told
+  int untold_ = 0;         ///< frames followed since one between movers was told; beyond them, too, until one is told
   int unproved_ = 0;       ///< last_ was found by guess: frames since then, all waiting for one that convinces
   Reason refusal_;         ///< why the last pose was refused; no text: its measurements were too few
   double evidence_ = 0.0;  ///< for the pose of the last measure() [nats]
-  double vouched_ = 0.0;   ///< between movers what vouched points say of it, elsewhere all of it
+  double vouched_ = 0.0;  ///< between movers, and until one is told after them, what vouched points say of it; else all
   int relocalise_attempt_ = 0;
   std::uint32_t reprojection_mark_ = 0;
   std::uint64_t picture_hash_ = 0;

@@ -141,7 +141,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   refusal_ = {};
   result->misfit = p.ok ? misfit(p) : 0.0;
   evidence_ = pose_evidence(p, r.matches, r.trials - (r.matches - r.shaded));
-  vouched_ = frame->crowded && p.ok ? evidence_of_vouched() : evidence_;
+  vouched_ = (frame->crowded || untold_ > 0) && p.ok ? evidence_of_vouched() : evidence_;
   const int least = frame->goes_on ? options_.least_beside_prior : options_.least_measurements;
   return result->measurements >= least && as_noisy_as_stated(*result);
 }
@@ -255,7 +255,7 @@ bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, 
 FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameResult* result) {
   using Kind = FrameEvidence::Kind;
   const rt::TimeNs gap = frame->t_capture_ns - last_.t_capture_ns;
-  const bool beside = frame->crowded && unproved_ == 0 && untold_ > 0 && untold_ % 2 == 0;
+  const bool beside = unproved_ == 0 && untold_ > 0 && untold_ % 2 == 0;
   if (last_.slot >= 0 && gap <= options_.last_frame_gap_ns) {
     // Constant velocity, over as much time as has passed; after a gap the camera may have done anything, unless someone
     // else has watched it.
@@ -286,8 +286,10 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
         // A picture that is blurred or lit otherwise speaks against all its points alike, and is right; but between
         // movers what a pose agrees with may be one of them, whose motion is another.
         const bool enough = result->measurements >= options_.health.min_measurements;
-        const bool told = enough && (!frame->crowded || told_between_movers(*frame));
-        untold_ = told || !frame->crowded || vouched_ >= options_.told ? 0 : untold_ + 1;
+        // Nor does what was mapped by poses that nothing vouched for prove more when the movers are gone.
+        const bool vouching = frame->crowded || untold_ > 0;
+        const bool told = enough && (!vouching || told_between_movers(*frame));
+        untold_ = told || !vouching || vouched_ >= options_.told ? 0 : untold_ + 1;
         return told ? Kind::kPose : Kind::kWeak;
       }
       if (unproved_ < options_.unproved_frames && proves(options_.promising, gathered)) {
