@@ -45,7 +45,7 @@ void FeederThread::read_one(Feeder::Outcome* outcome) {
     channels_->finish(&channels_->fed, Fed{record, handed_count_});
     return;
   }
-  if (imu_ != nullptr) feed_samples(handle.meta.t_capture_ns);
+  if (imu_ != nullptr) feed_samples(handle.meta.t_capture_ns + read_after_ns_);
   ++handed_count_;
   const bool pushed = channels_->frames.try_push(handle);
   assert(pushed);  // only this thread pushes, so the room seen above is still there
@@ -72,9 +72,9 @@ int FeederThread::acquire_patiently() {
   return pool_->acquire();
 }
 
-void FeederThread::feed_samples(rt::TimeNs t_capture_ns) {
+void FeederThread::feed_samples(rt::TimeNs until_ns) {
   hal::ImuSample sample;
-  while (imu_feeder_.next_until(t_capture_ns, &sample)) {
+  while (imu_feeder_.next_until(until_ns, &sample)) {
     while (!channels_->samples.try_push(sample)) {
       if (channels_->stop.load(std::memory_order_relaxed)) return;
       channels_->tracker_wake.post();

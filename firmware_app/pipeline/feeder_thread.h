@@ -12,8 +12,11 @@ namespace godwit::app {
 class FeederThread {
  public:
   /// All outlive it.
-  FeederThread(hal::Camera* camera, rt::FramePool* pool, const PipelineOptions& options, Channels* channels)
-      : real_time_(camera->real_time()),
+  /// read_after_ns: FrameStage's.
+  FeederThread(hal::Camera* camera, rt::FramePool* pool, const PipelineOptions& options, rt::TimeNs read_after_ns,
+               Channels* channels)
+      : read_after_ns_(read_after_ns),
+        real_time_(camera->real_time()),
         pool_(pool),
         channels_(channels),
         feeder_(camera, pool, options.newest_frame, options.onlooker),
@@ -35,8 +38,9 @@ class FeederThread {
   bool may_read() const;
   int acquire_patiently();
   void read_one(Feeder::Outcome* outcome);
-  void feed_samples(rt::TimeNs t_capture_ns);
+  void feed_samples(rt::TimeNs until_ns);
 
+  const rt::TimeNs read_after_ns_;
   const bool real_time_;
   rt::FramePool* const pool_;
   Channels* const channels_;

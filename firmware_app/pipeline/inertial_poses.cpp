@@ -86,6 +86,12 @@ vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
   return prior;
 }
 
+vo::MeasuredShake InertialPoses::shake(rt::TimeNs t_ns) const {
+  vo::MeasuredShake out;
+  out.known = t_last_ns_ > 0 && odometry_->row_turns(t_last_ns_, t_ns + shift_ns_, &out.turn, &out.rate);
+  return out;
+}
+
 vo::PosePrior InertialPoses::expected(rt::TimeNs t_ns) const {
   vo::PosePrior prior;
   vo::NavigationFrame::Expected there;

@@ -33,6 +33,8 @@ class InertialPoses {
   /// The camera's turn since the last frame by the gyroscope, as a prior of its alignment; none while the gyroscope's
   /// bias is not known. Before the frame at t_ns is tracked.
   vo::RotationPrior turn_since_last(rt::TimeNs t_ns) const;
+  /// How it turned while that frame's rows were read: nothing with a global shutter.
+  vo::MeasuredShake shake(rt::TimeNs t_ns) const;
   /// Where that frame's camera should be in the map, where the last one saw nothing.
   vo::PosePrior expected(rt::TimeNs t_ns) const;
   /// After it: the record's pose becomes that of the navigation frame. Where the picture gives none, or none with scale

@@ -44,7 +44,9 @@ class OdometryStage final : public FrameStage {
         tracker_(std::make_unique<vo::Tracker>(camera_, tracker_options(options, masks != nullptr), channel_.get())),
         mapper_(std::make_unique<vo::Mapper>(camera_, mapper_options(options, keyframe_slots(*pool)), channel_.get())),
         exchange_(masks, tracker_.get()),
-        gyro_helps_(options.gyro_helps) {
+        gyro_helps_(options.gyro_helps),
+        // Rows are read on both sides of the capture time; the sensor's clock may be ahead.
+        read_after_ns_(std::llround((0.5 * options.readout_s + std::max(0.0, options.inertial_time_offset_s)) * 1e9)) {
     if (options.inertial_T_body_cam) {
       inertial_ = std::make_unique<InertialPoses>(*options.inertial_T_body_cam, options.coast_ns,
                                                   options.inertial_time_offset_s, options.inertial_errors,
@@ -70,6 +72,7 @@ class OdometryStage final : public FrameStage {
     }
     input.feature_share = feature_share_;
     if (inertial_ != nullptr && gyro_helps_) input.rotation = inertial_->turn_since_last(frame.meta.t_capture_ns);
+    if (inertial_ != nullptr && gyro_helps_) input.shake = inertial_->shake(frame.meta.t_capture_ns);
     if (inertial_ != nullptr) input.expected = inertial_->expected(frame.meta.t_capture_ns);
     const vo::FrameResult result = tracker_->track(input);
     if (view_ != nullptr) look(frame.meta, input, result, record);
@@ -88,6 +91,8 @@ class OdometryStage final : public FrameStage {
     vo::SlotRelease release;
     while (tracker_->take_release(&release)) tracker_return_.give_back(release.slot, release.count);
   }
+
+  rt::TimeNs read_after_ns() const override { return read_after_ns_; }
 
   void take_imu(const hal::ImuSample& sample) override {
     ++order_.readings;
@@ -238,6 +243,7 @@ class OdometryStage final : public FrameStage {
   // Tracker's own.
   MaskExchange exchange_;  ///< used only with masks
   const bool gyro_helps_;
+  const rt::TimeNs read_after_ns_;
   std::unique_ptr<InertialPoses> inertial_;  ///< null: no inertial sensor is flown by
   std::unique_ptr<AidedPoses> aided_;        ///< null: that one is, or nobody else's attitude is used
   EarthPoses earth_;

@@ -67,7 +67,8 @@ rt::Result<PipelineCounters> run_sequential(hal::Camera* camera, FrameStage* sta
     if (outcome == Feeder::Outcome::kNothing) continue;
     if (outcome == Feeder::Outcome::kFrame) {
       if (detector) detector->before(handle.meta.t_capture_ns);
-      if (options.imu != nullptr) hand_readings(&imu, handle.meta.t_capture_ns, told.get(), stage, sink);
+      if (options.imu != nullptr)
+        hand_readings(&imu, handle.meta.t_capture_ns + stage->read_after_ns(), told.get(), stage, sink);
       {
         const rt::RtScope real_time;
         hal::AidSample aid;

@@ -29,8 +29,10 @@ class FrameStage {
   /// Tracker thread. Estimates the frame's pose and fills everything of the record but sequence, times of the frame and
   /// mapper_cpu_ns. No allocation, no lock, bounded. Takes over both references.
   virtual void track(const rt::FrameHandle& frame, FrameRecord* record) = 0;
+  /// How long after a frame's capture time its last row is read.
+  virtual rt::TimeNs read_after_ns() const { return 0; }
   /// Tracker thread. One reading of the inertial sensor, in the order of their times; what was measured up to a frame's
-  /// capture and has come is handed over before that frame, later ones perhaps too. No allocation, no lock, bounded. A
+  /// last row and has come is handed over before that frame, later ones perhaps too. No allocation, no lock, bounded. A
   /// stage without inertial part need not care.
   virtual void take_imu(const hal::ImuSample& /*sample*/) {}
   /// Tracker thread. What knows metres beside the camera (hal/aid/aid.h), under the same terms.

@@ -20,7 +20,7 @@ ThreadedPipeline::ThreadedPipeline(hal::Camera* camera, FrameStage* stage, rt::F
     : camera_(camera),
       options_(options),
       channels_(std::make_unique<Channels>(options.newest_frame)),
-      feeder_(camera, pool, options_, channels_.get()),
+      feeder_(camera, pool, options_, stage->read_after_ns(), channels_.get()),
       imu_(options.imu, camera, options.onlooker, options.tap, channels_.get()),
       tracker_(stage, pool, camera, options_, channels_.get()),
       mapper_(stage, channels_.get()),

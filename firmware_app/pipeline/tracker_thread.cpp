@@ -69,7 +69,7 @@ void TrackerThread::report(PipelineCounters* counters) const {
 
 void TrackerThread::track_one(rt::FrameHandle handle) {
   const int dropped = newest_frame() ? take_newest(&handle) : 0;
-  take_samples(handle.meta.t_capture_ns);
+  take_samples(handle.meta.t_capture_ns + stage_->read_after_ns());
   look_for_imu_silence(handle.meta.t_capture_ns);
   hal::AidSample aid;
   for (int i = 0; i < kMostAids && options_.aids != nullptr; ++i) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstring>
 #include <thread>
 
@@ -12,7 +13,10 @@
 namespace godwit::app {
 
 FlownCamera::FlownCamera(const sim::Flight& flight, const FlownCameraOptions& options)
-    : camera_(flight.camera(0)), real_pace_(options.real_pace), time_(options.time) {
+    : camera_(flight.camera(0)),
+      real_pace_(options.real_pace),
+      read_after_ns_(std::llround(0.5e9 * flight.scenario().camera.rig.readout_s)),
+      time_(options.time) {
   first_ = static_cast<int>(std::min<std::int64_t>(options.start, camera_->frames()));
   left_ = camera_->frames() - first_;
   if (options.frames > 0) left_ = static_cast<int>(std::min<std::int64_t>(options.frames, left_));
@@ -70,14 +74,14 @@ hal::CameraStatus FlownCamera::next(const rt::MutableImageView& grey, std::uint8
     if (masks_ != nullptr) masks_->put(frame->sequence, drawn.boxes);
   }
   if (real_pace_) {
-    // The picture was drawn before its time; it is there when its exposure is over, on the clock that began with the
+    // The picture was drawn before its time; it is there when its last row was read, on the clock that began with the
     // first.
     if (start_ns_ == 0) start_ns_ = rt::monotonic_now_ns() - frame->t_source_ns;
     frame->t_capture_ns = start_ns_ + frame->t_source_ns;
   }
   if (time_ != nullptr && !time_->offset_ns()) time_->pin(frame->t_source_ns, frame->t_capture_ns);
   if (real_pace_) {
-    const rt::TimeNs wait = frame->t_capture_ns - rt::monotonic_now_ns();
+    const rt::TimeNs wait = frame->t_capture_ns + read_after_ns_ - rt::monotonic_now_ns();
     if (wait > 0) std::this_thread::sleep_for(std::chrono::nanoseconds(wait));
   }
   return drawn.status;

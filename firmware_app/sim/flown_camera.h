@@ -57,6 +57,7 @@ class FlownCamera final : public hal::Camera {
   std::unique_ptr<sim::SimCamera> camera_;
   std::unique_ptr<TruthMasks> masks_;
   const bool real_pace_;
+  const rt::TimeNs read_after_ns_;  ///< from the capture time to the last row
   hal::ReplayTime* const time_;
   int first_ = 0, left_ = 0;
   std::vector<Drawn> ahead_;    ///< empty: drawn when asked for

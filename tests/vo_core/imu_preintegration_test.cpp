@@ -4,10 +4,12 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
 #include <memory>
+#include <numbers>
 #include <random>
 
 #include "tests/vo_core/numeric_jacobian.h"
@@ -155,6 +157,61 @@ TEST(ImuBuffer, TellsWhatIsMissing) {
   EXPECT_EQ(integrate(290 * ms, 410 * ms), 100 * ms);
   EXPECT_EQ(integrate(700 * ms, 720 * ms), 20 * ms);
   EXPECT_EQ(integrate(10 * ms, 20 * ms), 10 * ms);
+}
+
+TEST(ImuBuffer, RowsTurnBesideASteadyTurnByWhatShakes) {
+  // 85 Hz of 2 mrad about y on a turn that is steady and a bias, one reading a millisecond, a picture each 33 ms whose
+  // rows are read within 15 ms.
+  constexpr double kAmplitude = 2e-3, kRate = 2 * std::numbers::pi * 85;
+  constexpr rt::TimeNs kSpan = 15 * rt::kNsPerMs, kBefore = 300 * rt::kNsPerMs, kNow = 333 * rt::kNsPerMs;
+  const auto turned = [&](double t) { return kAmplitude * std::sin(kRate * t); };
+  const auto fill = [&](const Vec3& bias, rt::TimeNs until, rt::TimeNs gap_at, bool saturated) {
+    auto buffer = std::make_unique<ImuBuffer>();
+    for (rt::TimeNs t = 0; t <= until; t += rt::kNsPerMs) {
+      if (t > gap_at && t <= gap_at + 31 * rt::kNsPerMs) continue;
+      ImuReading r;
+      r.t_ns = t;
+      r.gyro_rad_s = Vec3(0.3, kAmplitude * kRate * std::cos(kRate * rt::to_seconds(t)), 0) + bias;
+      r.gyro_saturated = saturated && t == kNow;
+      buffer->add(r);
+    }
+    return buffer;
+  };
+  constexpr rt::TimeNs kNever = rt::kNsPerSecond;
+  std::array<Vec3, 24> turns, rates, biased, unused;
+  const auto buffer = fill(Vec3::Zero(), 400 * rt::kNsPerMs, kNever, false);
+  ASSERT_TRUE(buffer->row_turns(kBefore, kNow, kSpan, turns, rates));
+  ASSERT_TRUE(fill(Vec3(0.05, -0.02, 0.03), 400 * rt::kNsPerMs, kNever, false)
+                  ->row_turns(kBefore, kNow, kSpan, biased, unused));
+  const auto time_of = [&](rt::TimeNs middle, std::size_t k) {
+    return rt::to_seconds(middle) + rt::to_seconds(kSpan) * (static_cast<double>(k) / 23 - 0.5);
+  };
+  const auto mean_of_rows = [&](rt::TimeNs middle) {
+    double sum = 0;
+    for (std::size_t k = 0; k < 24; ++k) sum += (k == 0 || k == 23 ? 0.5 : 1.0) * turned(time_of(middle, k)) / 23;
+    return sum;
+  };
+  const double now = mean_of_rows(kNow), steady = (now - mean_of_rows(kBefore)) / rt::to_seconds(kNow - kBefore);
+  double most = 0;
+  for (std::size_t k = 0; k < 24; ++k) {
+    const double t = time_of(kNow, k);
+    most = std::max(most, std::abs(turns[k].y()));
+    EXPECT_NEAR(turns[k].y(), turned(t) - now - steady * (t - rt::to_seconds(kNow)), 0.05 * kAmplitude) << k;
+    EXPECT_NEAR(rates[k].y(), kAmplitude * kRate * std::cos(kRate * t) - steady, 0.05 * kAmplitude * kRate) << k;
+    EXPECT_LT(std::hypot(turns[k].x(), turns[k].z()), 1e-9) << "a steady turn has none";
+    EXPECT_LT((turns[k] - biased[k]).norm(), 1e-9) << "nor has a bias";
+  }
+  EXPECT_GT(most, 0.7 * kAmplitude) << "or nothing was tested";
+  // Where it was not measured nothing is told: readings that end before the rows do, a gap, a saturated one.
+  const auto left = turns;
+  EXPECT_FALSE(fill(Vec3::Zero(), kNow, kNever, false)->row_turns(kBefore, kNow, kSpan, turns, rates));
+  EXPECT_FALSE(fill(Vec3::Zero(), 400 * rt::kNsPerMs, kBefore, false)->row_turns(kBefore, kNow, kSpan, turns, rates));
+  EXPECT_FALSE(fill(Vec3::Zero(), 400 * rt::kNsPerMs, kNever, true)->row_turns(kBefore, kNow, kSpan, turns, rates));
+  EXPECT_FALSE(buffer->row_turns(kBefore, kNow, 0, turns, rates)) << "a global shutter";
+  EXPECT_FALSE(buffer->row_turns(kNow, kNow, kSpan, turns, rates));
+  EXPECT_FALSE(buffer->row_turns(0, 5 * rt::kNsPerMs, kSpan, turns, rates)) << "before the first reading";
+  EXPECT_FALSE(ImuBuffer().row_turns(kBefore, kNow, kSpan, turns, rates));
+  EXPECT_EQ(turns, left);
 }
 
 TEST(ImuBuffer, TimesThatScatterCountAsNoiseWhereItShakes) {

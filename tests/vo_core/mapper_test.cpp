@@ -65,7 +65,7 @@ class MapperTest : public testing::Test {
     m->t_capture_ns = static_cast<rt::TimeNs>(pictures_.size()) * 33'333'333;
     m->anchor_id = 0;
     m->T_cam_anchor = T;
-    m->velocity.setZero();
+    m->motion.velocity.setZero();
     m->tracked_features = 150;
     m->median_depth = 3.0;
     m->min_depth = 1.0;

@@ -34,13 +34,24 @@ InitialTracks::InitialTracks(const CameraModel& camera, double readout)
   ref_xy_.resize(kMaxTracks);
   cur_xy_.resize(kMaxTracks);
   ways_.resize(kMaxTracks);
+  in_three_.resize(kMaxTracks);
 }
 
-bool InitialTracks::to_plane(const Vec2f& px, Vec2* xy) const {
-  const Vec3 bearing = camera_.unproject(px.cast<double>());
+bool InitialTracks::to_plane(const Vec2f& px, const ReadoutMotion& motion, Vec2* xy) const {
+  const Vec3 bearing = motion.steadied(row_of(px) + 0.5, camera_.unproject(px.cast<double>()));
   if (!(bearing.z() > kMinBearingZ)) return false;
   *xy = bearing.head<2>() / bearing.z();
   return true;
+}
+
+void InitialTracks::see(std::size_t k, const Vec2f& px) {
+  InThreeViews& seen = seen_[k];
+  for (std::size_t i = 2; i > 0; --i) {
+    seen.xy[i] = seen.xy[i - 1];
+    seen.row[i] = seen.row[i - 1];
+  }
+  to_plane(px, {}, &seen.xy[0]);
+  seen.row[0] = row_of(px) + 0.5;
 }
 
 // A track of a level further up is twice as uncertain, and the refinement weighs all alike: from the coarsest on they
@@ -56,7 +67,8 @@ void InitialTracks::drop_coarse(int enough, int* alive) {
   }
 }
 
-int InitialTracks::start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, int wanted, int enough) {
+int InitialTracks::start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, const ReadoutMotion& motion,
+                         int wanted, int enough) {
   frames_ = history_count_ = count_ = 0;
   const int found = detector_.detect(frame, mask, {}, std::clamp(wanted, 1, kMaxTracks), features_);
   for (int i = 0; i < found; ++i) starts_[i] = features_[i].px;
@@ -64,10 +76,11 @@ int InitialTracks::start(const rt::PyramidView& frame, const rt::MaskPyramidView
   drop_coarse(enough, &alive);
   for (int k = 0; k < found; ++k) {
     const Vec2f place = px_ref(k);
-    if (tracker_.tracks()[k].alive && !to_plane(place, &first_.xy[k])) {
+    if (tracker_.tracks()[k].alive && !to_plane(place, motion, &first_.xy[k])) {
       tracker_.drop(k);
       --alive;
     }
+    see(k, place);
     first_.row[k] = row_of(place);
     first_.velocity[k].setZero();
   }
@@ -89,7 +102,8 @@ void InitialTracks::differentiate(std::size_t k, View* newest) {
   previous_[k] = x;
 }
 
-int InitialTracks::follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, double* median_px) {
+int InitialTracks::follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, const ReadoutMotion& motion,
+                          double* median_px) {
   tracker_.track(frame);
   if (history_count_ == kHistory) {
     for (int k = 0; 2 * k < kHistory; ++k) history_[k] = history_[2 * k + 1];
@@ -101,16 +115,18 @@ int InitialTracks::follow(const rt::PyramidView& frame, const rt::MaskPyramidVie
   for (int k = 0; k < std::ssize(tracker_.tracks()); ++k) {
     if (!tracker_.tracks()[k].alive) continue;
     const Vec2f place = px_cur(k);
-    if (is_masked(mask, place) || !to_plane(place, &view.xy[k])) {
+    if (is_masked(mask, place) || !to_plane(place, motion, &view.xy[k])) {
       tracker_.drop(k);
       continue;
     }
+    see(k, place);
     view.row[k] = row_of(place);
     differentiate(k, &view);
     const int n = count_++;
     track_of_[n] = k;
     ref_xy_[n] = first_.at_middle_row(k, readout_);
     cur_xy_[n] = view.at_middle_row(k, readout_);
+    in_three_[n] = seen_[k];
     ways_[n] = static_cast<double>((place - px_ref(k)).norm());
   }
   ++history_count_;

@@ -11,6 +11,7 @@
 #include "vo_core/features/klt_tracker.h"
 #include "vo_core/geometry/camera_model.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/geometry/rolling_shutter.h"
 
 namespace godwit::vo {
 
@@ -21,7 +22,7 @@ class InitialTracks {
   /// Views since the first that are remembered; when full, every second one is forgotten.
   static constexpr int kHistory = 24;
 
-  /// Where the tracks lay in one view, on the plane z = 1, by their number.
+  /// Where the tracks lay in one view, on the plane z = 1, by their number, freed of what is known of its shake.
   struct View {
     std::array<Vec2, kMaxTracks> xy;
     std::array<Vec2, kMaxTracks> velocity;  ///< per frame interval
@@ -35,16 +36,24 @@ class InitialTracks {
     }
   };
 
+  /// A living track in the latest three views, the newest first, as it was seen: what shook the camera is in there.
+  struct InThreeViews {
+    std::array<Vec2, 3> xy;     ///< on the plane z = 1
+    std::array<double, 3> row;  ///< share of the picture's height
+  };
+
   /// readout: from the first row to the last, in frame intervals.
   InitialTracks(const CameraModel& camera, double readout);
 
   /// The frame becomes the first view, with at most `wanted` tracks; tracks of coarse levels only where without them
-  /// fewer than `enough` were left. Returns how many live.
-  int start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, int wanted, int enough);
+  /// fewer than `enough` were left. Of the motion the shake counts. Returns how many live.
+  int start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, const ReadoutMotion& motion, int wanted,
+            int enough);
 
   /// The next view. Tracks that are lost or enter a masked pixel end; those that live are packed into ref_xy(),
   /// cur_xy() and track_of(), and the view is remembered. Returns how many live; *median_px: of their ways [px].
-  int follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, double* median_px);
+  int follow(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, const ReadoutMotion& motion,
+             double* median_px);
 
   int frames() const { return frames_; }  ///< since the first view
   int count() const { return count_; }    ///< of living tracks
@@ -52,6 +61,11 @@ class InitialTracks {
   int track_of(std::size_t living) const { return track_of_[living]; }
   const std::vector<Vec2>& ref_xy() const { return ref_xy_; }
   const std::vector<Vec2>& cur_xy() const { return cur_xy_; }
+
+  /// Of the living tracks, once there are three views; the first among them.
+  std::span<const InThreeViews> in_three_views() const {
+    return std::span(in_three_).first(frames_ < 2 ? 0 : static_cast<std::size_t>(count_));
+  }
 
   const View& first() const { return first_; }
   int history_count() const { return history_count_; }
@@ -65,7 +79,9 @@ class InitialTracks {
   int level(std::size_t track) const;
 
  private:
-  bool to_plane(const Vec2f& px, Vec2* xy) const;
+  bool to_plane(const Vec2f& px, const ReadoutMotion& motion, Vec2* xy) const;
+  /// Keeps it as seen in this view.
+  void see(std::size_t k, const Vec2f& px);
   double row_of(const Vec2f& px) const { return (static_cast<double>(px.y()) + 0.5) / camera_.height() - 0.5; }
   void drop_coarse(int enough, int* alive);
   void differentiate(std::size_t k, View* newest);
@@ -78,6 +94,9 @@ class InitialTracks {
   std::vector<Vec2f> starts_;
   View first_;
   std::array<Vec2, kMaxTracks> previous_, before_previous_;  ///< xy of the last two frames
+  /// By the track's number.
+  std::array<InThreeViews, kMaxTracks> seen_;
+  std::vector<InThreeViews> in_three_;
   int frames_ = 0;
   std::vector<View> history_;
   int history_count_ = 0;

@@ -137,19 +137,63 @@ double ImuBuffer::time_scatter_s() const {
   return variance > 1e-12 ? std::sqrt(0.5 * variance) : 0;
 }
 
+Vec3 ImuBuffer::rate_at(rt::TimeNs t_ns) const {
+  const std::size_t i = at_or_before(t_ns);
+  const ImuReading &a = at(i), &b = at(std::min(i + 1, count_ - 1));
+  const double span = rt::to_seconds(b.t_ns - a.t_ns);
+  const double x = span > 0 ? std::clamp(rt::to_seconds(t_ns - a.t_ns) / span, 0.0, 1.0) : 0.0;
+  return (1 - x) * a.gyro_rad_s + x * b.gyro_rad_s;
+}
+
+Vec3 ImuBuffer::turned(rt::TimeNs t0_ns, rt::TimeNs t1_ns) const {
+  Vec3 sum = Vec3::Zero(), last = rate_at(t0_ns);
+  rt::TimeNs t = t0_ns;
+  for (std::size_t i = at_or_before(t0_ns) + 1; i < count_ && at(i).t_ns < t1_ns; ++i) {
+    if (at(i).t_ns <= t) continue;
+    sum += 0.5 * rt::to_seconds(at(i).t_ns - t) * (last + at(i).gyro_rad_s);
+    t = at(i).t_ns;
+    last = at(i).gyro_rad_s;
+  }
+  return sum + 0.5 * rt::to_seconds(t1_ns - t) * (last + rate_at(t1_ns));
+}
+
+bool ImuBuffer::row_turns(rt::TimeNs t_before_ns, rt::TimeNs t_ns, rt::TimeNs span_ns, std::span<Vec3> turns,
+                          std::span<Vec3> rates) const {
+  const rt::TimeNs first = t_ns - span_ns / 2, last = t_ns + span_ns / 2, before = t_before_ns - span_ns / 2;
+  if (count_ < 2 || span_ns <= 0 || t_before_ns >= t_ns || before < at(0).t_ns) return false;
+  // A reading is missing at the end where the next two would be due by now: times told scatter.
+  const rt::TimeNs pace = (newest_ns() - at(0).t_ns) / static_cast<rt::TimeNs>(count_ - 1);
+  if (newest_ns() + 2 * pace < last) return false;
+  for (std::size_t i = at_or_before(before); i + 1 < count_ && at(i).t_ns < last; ++i)
+    if (at(i + 1).t_ns - at(i).t_ns > kGapNs || at(i).gyro_saturated) return false;
+  const auto rows = static_cast<rt::TimeNs>(turns.size());
+  const auto time_of = [&](rt::TimeNs middle, rt::TimeNs k) { return middle - span_ns / 2 + span_ns * k / (rows - 1); };
+  // Mean of the rows' turns since the first of them; of the first row and the last only half lies within.
+  const auto mean_of_rows = [&](rt::TimeNs middle, auto&& keep) {
+    Vec3 turn = Vec3::Zero(), sum = Vec3::Zero();
+    for (rt::TimeNs k = 0; k < rows; ++k) {
+      if (k > 0) turn += turned(time_of(middle, k - 1), time_of(middle, k));
+      sum += (k == 0 || k + 1 == rows ? 0.5 : 1.0) * turn;
+      keep(static_cast<std::size_t>(k), turn);
+    }
+    return Vec3(sum / static_cast<double>(rows - 1));
+  };
+  const Vec3 then = mean_of_rows(t_before_ns, [](std::size_t, const Vec3&) {});
+  const Vec3 now = mean_of_rows(t_ns, [&](std::size_t k, const Vec3& turn) { turns[k] = turn; });
+  const Vec3 steady = (turned(before, first) + now - then) / rt::to_seconds(t_ns - t_before_ns);
+  for (rt::TimeNs k = 0; k < rows; ++k) {
+    turns[static_cast<std::size_t>(k)] -= now + rt::to_seconds(time_of(t_ns, k) - t_ns) * steady;
+    rates[static_cast<std::size_t>(k)] = rate_at(time_of(t_ns, k)) - steady;
+  }
+  return true;
+}
+
 Vec3 ImuBuffer::mean_turn(rt::TimeNs t_ns, rt::TimeNs span_ns) const {
   if (count_ == 0 || span_ns <= 0) return Vec3::Zero();
   // By trapezoids. What shakes an aircraft at 100 Hz turns once within 10 ms: a dozen of steps for that.
   constexpr int kSteps = 32;
   const double step_s = rt::to_seconds(span_ns) / kSteps;
-  const auto rate = [&](int k) -> Vec3 {
-    const rt::TimeNs t = t_ns - span_ns / 2 + span_ns * k / kSteps;
-    const std::size_t i = at_or_before(t);
-    const ImuReading &a = at(i), &b = at(std::min(i + 1, count_ - 1));
-    const double span = rt::to_seconds(b.t_ns - a.t_ns);
-    const double x = span > 0 ? std::clamp(rt::to_seconds(t - a.t_ns) / span, 0.0, 1.0) : 0.0;
-    return (1 - x) * a.gyro_rad_s + x * b.gyro_rad_s;
-  };
+  const auto rate = [&](int k) { return rate_at(t_ns - span_ns / 2 + span_ns * k / kSteps); };
   Vec3 turned = Vec3::Zero(), sum = Vec3::Zero(), at_t = Vec3::Zero(), last = rate(0);
   for (int k = 1; k <= kSteps; ++k) {
     const Vec3 now = rate(k);

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <span>
 
 #include "hal/rt/time.h"
 #include "vo_core/geometry/geometry.h"
@@ -109,6 +110,12 @@ class ImuBuffer {
   /// A steady turn, and so the gyroscope's bias, has none. Where readings do not reach the nearest is held. Zero
   /// without readings.
   Vec3 mean_turn(rt::TimeNs t_ns, rt::TimeNs span_ns) const;
+  /// How a camera's rows turn that are read over span_ns around t_ns, in the body's axes, from the first row to the
+  /// last: rotation vectors [rad], to first order, and their rates [rad/s]. Taken off is how the mean over the rows
+  /// turned on since the rows around t_before_ns, as a steady turn, and the mean of what is left: what is left over of
+  /// the gyroscope's bias is nothing. False, and nothing is changed: the readings leave out some of it, or saturate.
+  bool row_turns(rt::TimeNs t_before_ns, rt::TimeNs t_ns, rt::TimeNs span_ns, std::span<Vec3> turns,
+                 std::span<Vec3> rates) const;
   /// How far a time told is off a sensor's even pace, one sigma [s]: by the steps of the last tenth of a second or so,
   /// those that leave readings out aside. 0 with fewer than ten.
   double time_scatter_s() const;
@@ -126,6 +133,10 @@ class ImuBuffer {
   /// What readings between these two, of the step from from_ns to to_ns, may be wrong by since they saturate: variances
   /// as Preintegration::add takes them.
   static Vec6 unmeasured(const Kept& a, const Kept& b, rt::TimeNs from_ns, rt::TimeNs to_ns);
+  /// Between readings by a straight line, beyond them the nearest. Not empty.
+  Vec3 rate_at(rt::TimeNs t_ns) const;
+  /// What was turned from t0_ns to t1_ns >= t0_ns, to first order [rad]. Not empty.
+  Vec3 turned(rt::TimeNs t0_ns, rt::TimeNs t1_ns) const;
   /// The last reading at or before t_ns, or the oldest. Not empty.
   std::size_t at_or_before(rt::TimeNs t_ns) const;
   std::array<Kept, kReadings> readings_;

@@ -50,18 +50,6 @@ rt::TimeNs InertialOdometry::measured_since(rt::TimeNs t_ns, Preintegration* sin
   return missing_ns + buffer_.integrate(from_ns, t_ns, options_.model.imu, since).missing_ns;
 }
 
-bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const {
-  if (buffer_.empty() || !metric()) return false;  // before, the gyroscope's bias is not known
-  const S& x = smoother_.newest();
-  const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
-  Preintegration d(x.bias);
-  const auto covered = buffer_.integrate(t_ref_ns + shift, t_cur_ns + shift, options_.model.imu, &d);
-  if (covered.missing_ns > 10 * rt::kNsPerMs || covered.gyro_saturated) return false;
-  const Mat3 R_body_cam = smoother_.mounting().R_body_cam * so3_exp(x.mounting);
-  *R_cur_ref = R_body_cam.transpose() * d.dR(x.bias.gyro).transpose() * R_body_cam;
-  return true;
-}
-
 rt::TimeNs InertialOdometry::moment_of(const VisualPose& pose) const {
   const double offset_s = metric() ? smoother_.newest().time_offset_s : prior_.time_offset_s;
   return pose.t_ns + static_cast<rt::TimeNs>(offset_s * 1e9);

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 
+#include "vo_core/geometry/rolling_shutter.h"
 #include "vo_core/inertial/inertial_alignment.h"
 #include "vo_core/inertial/inertial_smoother.h"
 #include "vo_core/inertial/metric_map.h"
@@ -71,6 +72,10 @@ class InertialOdometry : public MetricMap {
   /// The turn of the camera between two times by the gyroscope, R_cur_ref, or false where it was not measured
   /// whole, a gyroscope at the end of its range among that.
   bool camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const;
+  /// How the camera turned while the rows of a rolling shutter's picture were read, as ImuBuffer::row_turns() has it,
+  /// but of T_cam_world and along the camera's axes. Times as the calibration has them: no estimate goes in, so that
+  /// nothing is learned of its own. False where it was not measured.
+  bool row_turns(rt::TimeNs t_before_ns, rt::TimeNs t_ns, RowTurns* turns, RowTurns* rates) const;
   /// Takes in one frame and says what it is in metres. Bounded: one solution of the window at most.
   MetricPose frame(const VisualPose& pose);
 

@@ -10,6 +10,7 @@
 #include "hal/rt/time.h"
 #include "vo_core/features/feature_detector.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/geometry/rolling_shutter.h"
 
 namespace godwit::vo {
 
@@ -48,7 +49,7 @@ struct KeyframeView {
   rt::TimeNs t_capture_ns = 0;
   rt::PyramidView pyramid;
   SE3 T_kf_world;
-  Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_kf_world [map units/s, rad/s]
+  ReadoutMotion motion;
   double median_depth = 1.0;
 };
 

@@ -64,8 +64,8 @@ struct MapperMessage {
   /// the world, for the first keyframe.
   std::uint32_t anchor_id = 0;
   SE3 T_cam_anchor;
-  Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
-  int tracked_features = 0;      ///< measurements of this frame
+  ReadoutMotion motion;
+  int tracked_features = 0;  ///< measurements of this frame
   double median_depth = 1.0;
   double min_depth = 0.5;
   CoarseMask mask;  ///< dynamic pixels: no seed begins or matches there

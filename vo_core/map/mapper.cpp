@@ -96,7 +96,7 @@ bool Mapper::place_in_map(const MapperMessage& m, SE3* T_cam_world) const {
 void Mapper::handle_keyframe(const MapperMessage& m, const SE3& T_cam_world) {
   const Keyframe& kf =
       map_.insert_keyframe(m.keyframe_place, m.keyframe_id,
-                           {m.sequence, m.slot, m.t_capture_ns, m.pyramid, T_cam_world, m.velocity, m.median_depth});
+                           {m.sequence, m.slot, m.t_capture_ns, m.pyramid, T_cam_world, m.motion, m.median_depth});
   newest_keyframe_id_ = m.keyframe_id;
   masks_[m.keyframe_place].assign(m.mask);
   for (int i = 0; i < m.feature_count; ++i) {
@@ -139,15 +139,15 @@ void Mapper::handle_late_mask(const MapperMessage& m) {
   }
 }
 
-Vec2 Mapper::displacement(const Vec3& p_cam, const Vec6& velocity) const {
+Vec2 Mapper::displacement(const Vec3& p_cam, const ReadoutMotion& motion) const {
   Vec2 px;
   Mat23 J;
   if (options_.shutter.readout_s <= 0.0 || !camera_.project(p_cam, &px, &J)) return Vec2::Zero();
-  return rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), velocity);
+  return rolling_displacement(options_.shutter, camera_.height(), p_cam, J, px.y(), motion);
 }
 
 void Mapper::place_feature(KeyframeFeature* f, const Keyframe& kf, const Vec3& p_cam) const {
-  f->px_global = global_pixel(options_.shutter, camera_, f->px, p_cam, kf.velocity);
+  f->px_global = global_pixel(options_.shutter, camera_, f->px, p_cam, kf.motion);
   f->bearing = camera_.unproject(f->px_global.cast<double>());
 }
 

@@ -93,7 +93,7 @@ class Mapper {
   bool in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_host) const;
   /// Searches a seed that is in view.
   void update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host,
-                   const Vec6& velocity);
+                   const ReadoutMotion& motion);
   rt::MaskPyramidView spread(const CoarseMask& mask, const rt::PyramidView& pyramid);
   void create_seeds(int place, const MapperMessage& m);
   bool seed_to_point(Seed* seed);
@@ -101,9 +101,9 @@ class Mapper {
   void adjust(int place);
   void forget_keyframes(int newest);
   int least_useful_keyframe(int newest, bool points) const;
-  /// By what the rolling shutter of a picture taken at this velocity moves a point that lies here in its camera's
+  /// By what the rolling shutter of a picture taken in this motion moves a point that lies here in its camera's
   /// frame.
-  Vec2 displacement(const Vec3& p_cam, const Vec6& velocity) const;
+  Vec2 displacement(const Vec3& p_cam, const ReadoutMotion& motion) const;
   /// Pixel and ray that a global shutter would have given the feature of this keyframe, whose point lies here in its
   /// camera's frame.
   void place_feature(KeyframeFeature* f, const Keyframe& kf, const Vec3& p_cam) const;

@@ -93,7 +93,7 @@ void Mapper::create_seeds(int place, const MapperMessage& m) {
     for (int k = 0; k < near_count && seed->active; ++k) {
       const Keyframe& other = map_.keyframe(near[k].second);
       const CoarseMask& mask = masks_[near[k].second];
-      if (in_view(*seed, mask, T_near_kf[k])) update_seed(seed, other.pyramid, mask, T_near_kf[k], other.velocity);
+      if (in_view(*seed, mask, T_near_kf[k])) update_seed(seed, other.pyramid, mask, T_near_kf[k], other.motion);
     }
   }
 }
@@ -106,7 +106,7 @@ bool Mapper::in_view(const Seed& seed, const CoarseMask& mask, const SE3& T_cur_
 }
 
 void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const CoarseMask& mask, const SE3& T_cur_host,
-                         const Vec6& velocity) {
+                         const ReadoutMotion& motion) {
   const Keyframe& host = map_.keyframe(seed->place);
   DepthEstimate& e = seed->estimate;
   const double sigma = std::sqrt(e.variance);
@@ -114,7 +114,7 @@ void Mapper::update_seed(Seed* seed, const rt::PyramidView& pyramid, const Coars
   const double inv_min = std::max(e.inv_depth - 2.0 * sigma, 1e-4);
   const PatchSource source{&host.pyramid, &seed->feature, 1.0 / e.inv_depth};
   ++report_.seeds_updated;
-  const Vec2 displaced = displacement(T_cur_host * (seed->feature.bearing / e.inv_depth), velocity);
+  const Vec2 displaced = displacement(T_cur_host * (seed->feature.bearing / e.inv_depth), motion);
   const EpipolarResult r =
       match_epipolar(camera_, source, T_cur_host, pyramid, 1.0 / inv_max, 1.0 / inv_min, kMaxLevel, displaced);
   if (!r.match.found) {
@@ -181,7 +181,7 @@ void Mapper::update_seeds(const MapperMessage& m, const SE3& T_cam_world) {
       prefetch_patch(map_.keyframe(next.place).pyramid, next.feature);
     }
     Seed& s = (*seeds_)[chosen[i]];
-    update_seed(&s, m.pyramid, m.mask, T_cur_kf[s.place], m.velocity);
+    update_seed(&s, m.pyramid, m.mask, T_cur_kf[s.place], m.motion);
   }
 }
 

@@ -95,10 +95,11 @@ struct Initializer::Impl {
     return *middle;
   }
 
-  InitReport start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, InitStatus status) {
+  InitReport start(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, const ReadoutMotion& motion,
+                   InitStatus status) {
     InitReport report;
     R_cur_ref.setIdentity();
-    report.tracks = tracks.start(frame, mask, options.features, 2 * options.min_tracks);
+    report.tracks = tracks.start(frame, mask, motion, options.features, 2 * options.min_tracks);
     next_parallax_px = 0;
     next_frame = 0;
     refused = InitStatus::kNoParallax;
@@ -407,13 +408,14 @@ void Initializer::reset() {
   impl_->point_count = 0;
 }
 
-InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide) {
+InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide,
+                                  const ReadoutMotion& motion) {
   Impl& m = *impl_;
   m.point_count = 0;
-  if (!m.started) return m.start(frame, mask, InitStatus::kFirstFrame);
+  if (!m.started) return m.start(frame, mask, motion, InitStatus::kFirstFrame);
   InitReport report;
-  report.tracks = m.tracks.follow(frame, mask, &report.median_disparity_px);
-  if (report.tracks < m.options.min_tracks) return m.start(frame, mask, InitStatus::kTracksLost);
+  report.tracks = m.tracks.follow(frame, mask, motion, &report.median_disparity_px);
+  if (report.tracks < m.options.min_tracks) return m.start(frame, mask, motion, InitStatus::kTracksLost);
   const std::size_t n = report.tracks;
   report.parallax_px =
       fit_rotation({m.tracks.ref_xy().data(), n}, {m.tracks.cur_xy().data(), n}, m.focal(), m.scratch, &m.R_cur_ref);
@@ -430,6 +432,10 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
     m.postpone(report);
   }
   return report;
+}
+
+std::span<const InitialTracks::InThreeViews> Initializer::in_three_views() const {
+  return impl_->tracks.in_three_views();
 }
 
 const SE3& Initializer::T_cur_ref() const {

@@ -9,6 +9,7 @@
 #include "hal/rt/image.h"
 #include "hal/rt/time.h"
 #include "vo_core/features/feature_detector.h"
+#include "vo_core/features/initial_tracks.h"
 #include "vo_core/geometry/camera_model.h"
 #include "vo_core/geometry/geometry.h"
 #include "vo_core/geometry/two_view_geometry.h"
@@ -97,10 +98,13 @@ class Initializer {
 
   /// Feeds the next frame; unless `decide`, its tracks are followed and nothing is tried. The pyramid of the FIRST view
   /// must stay readable until reset() or until a status says that the present frame became the first view: the caller
-  /// holds that frame's slot. Tracks that enter a masked pixel are dropped. On kDone, T_cur_ref() and points() hold the
-  /// first map, scaled so that the median depth in the first view is 1.
-  InitReport add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide = true);
+  /// holds that frame's slot. Tracks that enter a masked pixel are dropped. Of the motion the shake counts. On kDone,
+  /// T_cur_ref() and points() hold the first map, scaled so that the median depth in the first view is 1.
+  InitReport add_frame(const rt::PyramidView& frame, const rt::MaskPyramidView& mask, bool decide = true,
+                       const ReadoutMotion& motion = {});
 
+  /// Of the last add_frame(): InitialTracks::in_three_views().
+  std::span<const InitialTracks::InThreeViews> in_three_views() const;
   /// Valid after kDone until the next call.
   const SE3& T_cur_ref() const;
   /// Left twist rates of T_ref_world and T_cur_world at their times, per frame interval, units of the chosen scale.

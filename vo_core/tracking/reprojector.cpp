@@ -32,8 +32,8 @@ Reprojector::Reprojector(const CameraModel& camera, const ReprojectorOptions& op
   }
 }
 
-void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
-                          std::uint32_t mark, ReprojectionResult* result) {
+void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world,
+                          const ReadoutMotion& motion, std::uint32_t mark, ReprojectionResult* result) {
   position_ = -(T_cam_world.R.transpose() * T_cam_world.t);
   const Vec3 axis = T_cam_world.R.row(2);
   // Keyframes that look the same way, nearest first.
@@ -68,14 +68,14 @@ void Reprojector::collect(Map* map, const rt::MaskPyramidView& mask, const SE3& 
       for (int k = 0; k < 3; ++k) p_world_[k][points] = p->p_world(k);
       seen_point_[points++] = kf.points[f];
     }
-    project(points, T_cam_world, velocity);
+    project(points, T_cam_world, motion);
     for (int k = 0; k < points && candidate_count_ < kMaxCandidates; ++k)
       if (seen_[k] > 0.0) add_candidate(*map, seen_point_[k], Vec2(u_[k], v_[k]), mask);
   }
   result->candidates = candidate_count_;
 }
 
-void Reprojector::project(int points, const SE3& T_cam_world, const Vec6& velocity) {
+void Reprojector::project(int points, const SE3& T_cam_world, const ReadoutMotion& motion) {
   const Mat3& R = T_cam_world.R;
   for (int axis = 0; axis < 3; ++axis) {
     const double a = R(axis, 0), b = R(axis, 1), c = R(axis, 2), t = T_cam_world.t(axis);
@@ -90,7 +90,7 @@ void Reprojector::project(int points, const SE3& T_cam_world, const Vec6& veloci
     Mat23 J_point;
     J_point << J_[0][k], J_[1][k], J_[2][k], J_[3][k], J_[4][k], J_[5][k];
     const Vec2 moved = rolling_displacement(options_.shutter, camera_.height(),
-                                            Vec3(p_cam_[0][k], p_cam_[1][k], p_cam_[2][k]), J_point, v_[k], velocity);
+                                            Vec3(p_cam_[0][k], p_cam_[1][k], p_cam_[2][k]), J_point, v_[k], motion);
     u_[k] += moved.x();
     v_[k] += moved.y();
   }
@@ -166,13 +166,13 @@ bool Reprojector::try_match(const Map& map, std::uint16_t index, const rt::Pyram
 }
 
 ReprojectionResult Reprojector::run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                                    const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark,
-                                    int wanted, FrameFeature* out) {
+                                    const SE3& T_cam_world, const ReadoutMotion& motion, bool coarser,
+                                    std::uint32_t mark, int wanted, FrameFeature* out) {
   ReprojectionResult result;
   coarser_ = coarser ? options_.coarser_levels : 0;
   mark_ = mark;
   const int limit = std::min(wanted, options_.max_features);
-  collect(map, mask, T_cam_world, velocity, mark, &result);
+  collect(map, mask, T_cam_world, motion, mark, &result);
   trial_count_ = 0;
   run_free(*map, pyramid, limit, &cell_head_, &result, out);
   if (result.matches < options_.plenty_matches) run_free(*map, pyramid, limit, &resting_head_, &result, out);

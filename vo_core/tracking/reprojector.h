@@ -54,8 +54,8 @@ class Reprojector {
   /// pose continues that of the last picture: elsewhere chance alikeness on them let false poses pass after blurred
   /// pictures.
   ReprojectionResult run(Map* map, const rt::PyramidView& pyramid, const rt::MaskPyramidView& mask,
-                         const SE3& T_cam_world, const Vec6& velocity, bool coarser, std::uint32_t mark, int wanted,
-                         FrameFeature* out);
+                         const SE3& T_cam_world, const ReadoutMotion& motion, bool coarser, std::uint32_t mark,
+                         int wanted, FrameFeature* out);
 
   /// Writes found and missed of the last run into the points. Only for a run whose pose stood: a black picture or a
   /// wrong guess says nothing about the points.
@@ -77,10 +77,10 @@ class Reprojector {
   static constexpr int kMaxTrials = 512;
   static constexpr std::uint16_t kEnd = 0xffff;
 
-  void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const Vec6& velocity,
+  void collect(Map* map, const rt::MaskPyramidView& mask, const SE3& T_cam_world, const ReadoutMotion& motion,
                std::uint32_t mark, ReprojectionResult* result);
   /// Where the first `points` of p_world_ appear: u_, v_ and seen_.
-  void project(int points, const SE3& T_cam_world, const Vec6& velocity);
+  void project(int points, const SE3& T_cam_world, const ReadoutMotion& motion);
   void add_candidate(const Map& map, PointHandle point, const Vec2& px, const rt::MaskPyramidView& mask);
   using CellLists = std::array<std::uint16_t, kMaxCells>;
   void run_free(const Map& map, const rt::PyramidView& pyramid, int limit, CellLists* lists, ReprojectionResult* result,

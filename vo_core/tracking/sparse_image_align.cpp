@@ -117,7 +117,9 @@ void SparseImageAlign::warp(const SE3& T_cur_ref) {
     const Vec6 motion = T_cur_ref.log();
     for (int i = 0; i < patch_count_; ++i) {
       const Vec3f p(p_cur_[0][i], p_cur_[1][i], p_cur_[2][i]);
-      const Vec3 moved = align_warp(p.cast<double>(), motion, row_time(static_cast<double>(row_[i])));
+      Vec3 moved = align_warp(p.cast<double>(), motion, row_time(static_cast<double>(row_[i])));
+      if (shutter_.shake != nullptr)
+        moved += shutter_.shake->turn(static_cast<double>(row_[i]) / camera_.height()).cross(p.cast<double>());
       for (int axis = 0; axis < 3; ++axis) p_cur_[axis][i] = static_cast<float>(moved(axis));
     }
   }

@@ -10,6 +10,7 @@
 #include "hal/rt/image.h"
 #include "vo_core/geometry/camera_model.h"
 #include "vo_core/geometry/geometry.h"
+#include "vo_core/geometry/rolling_shutter.h"
 #include "vo_core/map/map_exchange.h"
 
 namespace godwit::vo {
@@ -38,6 +39,7 @@ struct RotationPrior {
 struct AlignShutter {
   double readout = 0.0;    ///< first to last row, over the time between the frames; 0: global shutter, or unknown
   double reference = 0.5;  ///< row, as a share of the height, that is read at the capture time
+  const RowTurns* shake = nullptr;  ///< what the camera turned beside that while the current frame was read; none
 };
 
 struct SparseAlignResult {

@@ -166,6 +166,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   frame.mask = in.mask;
   frame.crowded = covered_share(in.mask) > options_.crowded;
   if (expects(in)) frame.expected = in.expected;
+  shake_.fill(in.shake, &frame.motion);
   frame.pyramid = build_pyramid(in.grey, rt::kPyramidLevels, in.pyramid_storage, in.pyramid_bytes);
   // The half-size picture is in the cache already, and a fourth as large.
   const bool same = same_picture(frame.pyramid.level[1]);
@@ -202,7 +203,7 @@ FrameResult Tracker::track(const FrameInput& in) {
       result.times.initialise = now() - t0;
     } else {
       if (evidence.kind == FrameEvidence::Kind::kPose) forget_first_view();
-      take_pose(evidence.kind, &frame, &result);
+      take_pose(evidence.kind, in, &frame, &result);
     }
   }
   evidence.measurements = result.measurements;
@@ -230,7 +231,7 @@ FrameResult Tracker::track(const FrameInput& in) {
   return result;
 }
 
-void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result) {
+void Tracker::take_pose(FrameEvidence::Kind kind, const FrameInput& in, Frame* frame, FrameResult* result) {
   if (kind != FrameEvidence::Kind::kUnproved) {
     retire(&followed_);
   } else if (unproved_ == 0) {
@@ -246,6 +247,9 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     result->T_world_cam = frame->T_cam_world.inverse();
     const FrameCovariance own =
         noise_.covariance(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_);
+    if (result->tracked)
+      shake_.learn(camera_, std::span(measurements_).first(match_count_), frame->T_cam_world, weight_scale_,
+                   noise_.correlated(), in.shake, frame->motion);
     result->own_covariance = own.noise + own.strayed;
     result->relative = certainty_.relative(*map_, frame->T_cam_world, frame->t_capture_ns, own.noise, own.strayed);
     result->covariance = certainty_.in_map(*map_, result->relative);
@@ -256,12 +260,12 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
   if (kind == Kind::kPose || kind == Kind::kWeak) {
     const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
     // Of the poses as measured, not as aligned.
-    if (dt > 0.0) frame->velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
+    if (dt > 0.0) frame->motion.velocity = (frame->T_cam_world * last_.T_cam_world.inverse()).log() / dt;
     frame->velocity_known = dt > 0.0;
     if (frame->goes_on) {
       motion_.measured(frame->predicted, frame->T_cam_world, with_prior_);
     } else {
-      motion_.begin(frame->velocity, with_prior_, median_depth_);
+      motion_.begin(frame->motion.velocity, with_prior_, median_depth_);
     }
     consider_keyframe(frame, result);
     relocalise_attempt_ = 0;
@@ -272,7 +276,7 @@ void Tracker::take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* res
     const rt::TimeNs gap = frame->t_capture_ns - seen_.t_capture_ns;
     frame->velocity_known = seen_.known && gap > 0 && gap <= options_.last_frame_gap_ns;
     if (frame->velocity_known)
-      frame->velocity = (frame->T_cam_world * seen_.T_cam_world.inverse()).log() / rt::to_seconds(gap);
+      frame->motion.velocity = (frame->T_cam_world * seen_.T_cam_world.inverse()).log() / rt::to_seconds(gap);
     ++unproved_;
   }
   retire(&last_);

@@ -23,6 +23,7 @@
 #include "vo_core/tracking/pose_optimizer.h"
 #include "vo_core/tracking/relocaliser.h"
 #include "vo_core/tracking/reprojector.h"
+#include "vo_core/tracking/shake_fit.h"
 #include "vo_core/tracking/sparse_image_align.h"
 
 namespace godwit::vo {
@@ -57,6 +58,7 @@ struct FrameInput {
   std::uint32_t sequence = 0;
   rt::TimeNs t_capture_ns = 0;
   RotationPrior rotation;  ///< rotation since the last frame, from an IMU
+  MeasuredShake shake;     ///< of this frame's readout, from an IMU
   PosePrior expected;      ///< by dead reckoning: where a search for the map begins
   /// Of ReprojectorOptions::max_features, 0 to 1: fewer where time is short. Twice min_measurements are always looked
   /// for.
@@ -189,11 +191,11 @@ class Tracker {
     rt::MaskPyramidView mask;  ///< valid only while the frame is being tracked
     bool crowded = false;      ///< much of it is masked
     SE3 T_cam_world;
-    Vec6 velocity = Vec6::Zero();  ///< left twist rate of T_cam_world
-    bool velocity_known = false;   ///< velocity is that of the pose against the one before
-    double gathered = 0.0;         ///< evidence over the frames that led to the pose [nats]
-    PosePrediction predicted;      ///< by how the camera moved
-    bool goes_on = false;          ///< the pose is one that this leads to
+    ReadoutMotion motion;
+    bool velocity_known = false;  ///< velocity is that of the pose against the one before
+    double gathered = 0.0;        ///< evidence over the frames that led to the pose [nats]
+    PosePrediction predicted;     ///< by how the camera moved
+    bool goes_on = false;         ///< the pose is one that this leads to
     PosePrior expected;
     std::uint32_t sequence = 0;
     std::uint32_t counter = 0;  ///< the tracker's own count
@@ -239,7 +241,7 @@ class Tracker {
   /// map as well, since it may be one of them who is followed. True: found by points that are vouched for.
   bool find_beside(const FrameInput& in, Frame* frame, FrameResult* result);
   void adopt_features();
-  void take_pose(FrameEvidence::Kind kind, Frame* frame, FrameResult* result);
+  void take_pose(FrameEvidence::Kind kind, const FrameInput& in, Frame* frame, FrameResult* result);
   bool same_picture(const rt::ImageView& picture);
   void consider_keyframe(Frame* frame, FrameResult* result);
   bool send_reset();
@@ -278,6 +280,9 @@ class Tracker {
   std::unique_ptr<LandmarkFinder> landmarks_;
   const MotionGate gate_;
   FrameNoise noise_;
+  ShakeFit shake_;
+  MeasuredShake first_shake_;            ///< of the first view
+  std::array<MeasuredShake, 3> shakes_;  ///< of the last pictures without a map, the newest first
   MotionPrior motion_;
   Mat6 with_prior_ = Mat6::Identity();  ///< covariance of the last measure()'s pose
   double weight_scale_ = 1.0;           ///< of the last measure()

@@ -8,6 +8,8 @@
 namespace godwit::vo {
 namespace {
 constexpr float kMaxTrackErrorPx = 2.0f;
+/// Half of what a track's place in a picture is taken to be off by: InitializerOptions::sigma_px
+constexpr double kMostShakeOffPx = 0.25;
 
 /// Why no map began; no text: one did.
 Reason refusal(const InitReport& init, const InitializerOptions& limits) {
@@ -50,7 +52,12 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
     retire(&f);
     return false;
   }
-  result->init = initializer_.add_frame(frame.pyramid, in.mask, may_begin);
+  // A first view that was freed of another shake than is known by now is none: the next one is better.
+  if (first_.slot >= 0 && shake_.off(first_shake_, first_.motion) > kMostShakeOffPx * camera_.rad_per_px())
+    forget_first_view();
+  result->init = initializer_.add_frame(frame.pyramid, in.mask, may_begin, frame.motion);
+  shakes_ = {in.shake, shakes_[0], shakes_[1]};
+  shake_.learn(initializer_.in_three_views(), shakes_);
   Frame current = frame;
   const Reason reason = refusal(result->init, options_.initializer);
   result->reason = reason.text;
@@ -61,6 +68,7 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
     retire(&first_);
     first_ = current;
     first_mask_.assign(in.mask);
+    first_shake_ = in.shake;
     first_.mask = {};
     return false;
   }
@@ -89,8 +97,8 @@ bool Tracker::initialise(const FrameInput& in, const Frame& frame, bool may_begi
   const double interval_s =
       options_.initializer.readout > 0.0 ? options_.shutter.readout_s / options_.initializer.readout : 0.0;
   if (interval_s > 0.0) {
-    first_.velocity = initializer_.velocity_ref() / interval_s;
-    current.velocity = initializer_.velocity_cur() / interval_s;
+    first_.motion.velocity = initializer_.velocity_ref() / interval_s;
+    current.motion.velocity = initializer_.velocity_cur() / interval_s;
   }
   median_depth_ = 1.0;
   feature_count_ = map_feature_count_ = n;

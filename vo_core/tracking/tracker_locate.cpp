@@ -27,14 +27,15 @@ bool Tracker::align_with_last(const FrameInput& in, Frame* frame, const SE3& T_c
   // What an IMU has measured since the picture before belongs to the last frame only if that is the picture before.
   const RotationPrior prior = last_.counter + 1 == frame_counter_ ? in.rotation : RotationPrior{};
   const double dt = rt::to_seconds(frame->t_capture_ns - last_.t_capture_ns);
-  const AlignShutter shutter{dt > 0.0 ? options_.shutter.readout_s / dt : 0.0, options_.shutter.reference};
+  const AlignShutter shutter{dt > 0.0 ? options_.shutter.readout_s / dt : 0.0, options_.shutter.reference,
+                             frame->motion.shakes ? &frame->motion.shake : nullptr};
   if (n >= 15)
     T_cur_last =
         align_->run(last_.pyramid, frame->pyramid, std::span(align_points_.data(), n), T_cur_last_guess, prior, shutter)
             .T_cur_ref;
   frame->T_cam_world = T_cur_last * last_.T_cam_world;
   // Velocity over the interval since the last frame: what the readout of this one sees.
-  frame->velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
+  frame->motion.velocity = dt > 0.0 ? Vec6(T_cur_last.log() / dt) : Vec6::Zero();
   result->times.align += now() - t0;
   return n >= 15;
 }
@@ -53,7 +54,7 @@ bool Tracker::align_with_keyframe(const RelocalisationGuess& guess, Frame* frame
               .T_cur_ref *
           kf.T_kf_world;
   }
-  frame->velocity.setZero();
+  frame->motion.velocity.setZero();
   if (n < 15) refusal_ = {"no keyframe to begin with, points in it", n, 15};
   return n >= 15;
 }
@@ -80,7 +81,7 @@ bool Tracker::recognise_landmarks(int attempt, bool near, Frame* frame, FrameRes
       landmarks_->find(*map_, frame->pyramid, frame->mask, attempt, near && seen_.known ? &last : nullptr);
   if (found.found) frame->T_cam_world = found.T_cam_world;
   if (!found.found) refusal_ = {"too few landmarks recognised", found.agreeing, options_.landmarks.min_agreeing};
-  frame->velocity.setZero();
+  frame->motion.velocity.setZero();
   result->times.align += now() - t0;
   return found.found;
 }
@@ -99,7 +100,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
   std::array<FrameFeature, kMaxFrameFeatures>& found = features_scratch_;
   const int wanted = static_cast<int>(in.feature_share * options_.reprojector.max_features);
   const ReprojectionResult r =
-      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->velocity, coarser,
+      reprojector_->run(map_.get(), frame->pyramid, in.mask, frame->T_cam_world, frame->motion, coarser,
                         ++reprojection_mark_, std::max(wanted, 2 * options_.health.min_measurements), found.data());
   result->matches = r.matches;
   result->shaded = r.shaded;
@@ -113,7 +114,7 @@ bool Tracker::measure(const FrameInput& in, bool coarser, Frame* frame, FrameRes
     PoseMeasurement& m = measurements_[i];
     m.p_world = map_->point(found[i].point.index).p_world;
     found[i].px_global =
-        global_pixel(options_.shutter, camera_, found[i].px, frame->T_cam_world * m.p_world, frame->velocity);
+        global_pixel(options_.shutter, camera_, found[i].px, frame->T_cam_world * m.p_world, frame->motion);
     m.px = found[i].px_global.cast<double>();
     m.gradient = found[i].gradient.cast<double>();
     m.type = found[i].type;
@@ -236,7 +237,7 @@ FrameEvidence::Kind Tracker::found(const FrameResult& r) {
 bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, Frame* frame, FrameResult* result) {
   align_with_last(in, frame, guess, result);
   const SE3 T_aligned = frame->T_cam_world;
-  const Vec6 aligned_velocity = frame->velocity;
+  const Vec6 aligned_velocity = frame->motion.velocity;
   const bool coarser = near && feature_count_ < options_.plenty;
   const bool held = measure(in, coarser, frame, result) && as_expected(*frame);
   if ((held && evidence_ >= options_.held) || !near || !last_.velocity_known) return held;
@@ -244,11 +245,11 @@ bool Tracker::look_near_last(const FrameInput& in, const SE3& guess, bool near, 
   // they are laid on the mover. Points are found all the same, each with a gain of its own, from where the motion goes
   // on as it was; that is a guess, and must convince.
   frame->T_cam_world = guess * last_.T_cam_world;
-  frame->velocity = last_.velocity;
+  frame->motion.velocity = last_.motion.velocity;
   if (measure(in, coarser, frame, result) && proves(options_.sure, evidence_) && as_expected(*frame)) return true;
   if (!held) return false;
   frame->T_cam_world = T_aligned;
-  frame->velocity = aligned_velocity;
+  frame->motion.velocity = aligned_velocity;
   return measure(in, coarser, frame, result) && as_expected(*frame);
 }
 
@@ -268,7 +269,7 @@ FrameEvidence::Kind Tracker::locate(const FrameInput& in, Frame* frame, FrameRes
     if (frame->predicted.known) {
       guess = frame->predicted.T_cam_world * last_.T_cam_world.inverse();
     } else if (last_.velocity_known && near && gap > 0) {
-      guess = SE3::exp(last_.velocity * rt::to_seconds(gap));
+      guess = SE3::exp(last_.motion.velocity * rt::to_seconds(gap));
     } else if (frame->expected.known) {
       guess =
           frame->expected.T_cam_map * (last_.expected.known ? last_.expected.T_cam_map : last_.T_cam_world).inverse();

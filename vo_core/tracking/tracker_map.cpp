@@ -149,9 +149,9 @@ void Tracker::apply(const MapDelta& d) {
 int Tracker::insert_keyframe(const Frame& frame, std::uint32_t id) {
   const int place = map_->free_keyframe_place();
   if (place < 0) return -1;
-  map_->insert_keyframe(place, id,
-                        {frame.sequence, frame.slot, frame.t_capture_ns, frame.pyramid, frame.T_cam_world,
-                         frame.velocity, median_depth_});
+  map_->insert_keyframe(
+      place, id,
+      {frame.sequence, frame.slot, frame.t_capture_ns, frame.pyramid, frame.T_cam_world, frame.motion, median_depth_});
   relocaliser_->add_keyframe(place, id, frame.pyramid, frame.mask);
   for (int i = 0; i < map_feature_count_; ++i) map_->append_feature(place, keyframe_feature(camera_, features_[i]));
   return place;
@@ -207,7 +207,7 @@ bool Tracker::send(MessageKind kind, Frame* frame, std::uint32_t keyframe_id, in
   const int anchor = map_->find_keyframe(anchor_id);
   m->anchor_id = anchor >= 0 ? anchor_id : 0;
   m->T_cam_anchor = anchor >= 0 ? frame->T_cam_world * map_->keyframe(anchor).T_kf_world.inverse() : frame->T_cam_world;
-  m->velocity = frame->velocity;
+  m->motion = frame->motion;
   m->tracked_features = feature_count_;
   m->median_depth = median_depth_;
   m->min_depth = min_depth_;

@@ -1,5 +1,6 @@
 #include "hal/camera/replay/replay_camera.h"
 
+#include <cmath>
 #include <filesystem>
 #include <system_error>
 
@@ -151,7 +152,9 @@ CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* 
   frame->sequence = static_cast<std::uint32_t>(next_);
   // However long a gap in the recording is, whoever waits wants to look at other things meanwhile.
   const rt::TimeNs give_up = rt::monotonic_now_ns() + timeout_ns;
-  if (real_pace && entry.fault == TimeFault::kNone && frame->t_capture_ns > give_up) {
+  // Captured when the middle row was read, and whole when the last one was.
+  const rt::TimeNs t_whole_ns = frame->t_capture_ns + std::llround(0.5e9 * calibration_.readout_s());
+  if (real_pace && entry.fault == TimeFault::kNone && t_whole_ns > give_up) {
     rt::sleep_until_ns(give_up);
     return CameraStatus::kTimeout;
   }
@@ -170,14 +173,14 @@ CameraStatus ReplayCamera::next(const rt::MutableImageView& grey, std::uint8_t* 
                                         " s too late: passed over unread");
   }
   if (grey.data == nullptr) {
-    if (real_pace) rt::sleep_until_ns(frame->t_capture_ns);
+    if (real_pace) rt::sleep_until_ns(t_whole_ns);
     ++counters_.passed_over;
     return CameraStatus::kFrame;
   }
   const std::string file = picture_file(entry);
   const auto loaded = decoder_.load(file);
   // A bad picture comes due at its time as well: a gap in the pictures is a gap in time.
-  if (real_pace) rt::sleep_until_ns(frame->t_capture_ns);
+  if (real_pace) rt::sleep_until_ns(t_whole_ns);
   if (!loaded) return bad(&counters_.bad_pictures, loaded.error().message);
   if (decoder_.width() != width() || decoder_.height() != height()) {
     return bad(&counters_.bad_pictures, file + ": " + std::to_string(decoder_.width()) + " x " +

@@ -30,7 +30,7 @@ rt::Result<SequenceLayout> find_sequence(const std::string& folder);
 struct ReplayOptions {
   enum class Pace {
     kMax,  ///< next() returns as soon as the picture is decoded
-    kReal  ///< next() returns at the picture's capture time, as if a camera had just delivered it
+    kReal  ///< next() returns when the picture's last row has been read, as if a camera had just delivered it
   };
   Pace pace = Pace::kMax;
   std::int64_t start = 0;   ///< pictures of the index left out at its beginning
