@@ -302,7 +302,7 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   } else if (added) {
     count_on(hint());
     // One step: all moments but the newest are where the solution before left them, and that one where readings led. A
-    // second moved nothing that is measured (docs/inertial-design.md) and cost as much again.
+    // second moved nothing that is measured (docs/inertial-design.md#one-step-a-moment) and cost as much again.
     const auto report = smoother_.solve(1);
     const double sigma = std::sqrt(smoother_.covariance()(S::kScale, S::kScale));
     if (!report.ok || !(sigma < options_.lost_scale_sigma)) {
