@@ -74,6 +74,7 @@ class FakeStage final : public FrameStage {
   std::atomic<std::uint32_t> seen{0};  ///< number of the newest frame
   std::uint64_t samples = 0, samples_late = 0, samples_wrong = 0;
   rt::TimeNs t_sample_ns = 0, t_frame_ns = 0;
+  rt::TimeNs last_row_ns = 0;  ///< after the capture time
 
   void track(const rt::FrameHandle& frame, FrameRecord* record) override {
     if (!rt::in_rt_scope()) ++track_calls_outside_scope;
@@ -91,10 +92,11 @@ class FakeStage final : public FrameStage {
     const bool sent = frame.meta.sequence % 2 == 0 && to_mapper_.try_push(frame);
     tracker_return_.give_back(frame.slot, sent ? 1 : 2);
   }
+  rt::TimeNs read_after_ns() const override { return last_row_ns; }
   void take_imu(const hal::ImuSample& sample) override {
     ++samples;
     if (sample.t_ns <= t_sample_ns || !rt::in_rt_scope()) ++samples_wrong;
-    if (sample.t_ns <= t_frame_ns) ++samples_late;
+    if (sample.t_ns <= t_frame_ns + last_row_ns) ++samples_late;
     t_sample_ns = sample.t_ns;
   }
   int mapper_backlog() const override { return static_cast<int>(to_mapper_.size()); }

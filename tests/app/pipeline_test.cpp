@@ -115,6 +115,19 @@ TEST_P(BothModes, EachFrameFindsWhatTheImuMeasuredBeforeIt) {
   EXPECT_EQ(counters.value().imu->dropped, 0u);
 }
 
+TEST_P(BothModes, AFrameOfARollingShutterFindsWhatTheImuMeasuredUpToItsLastRow) {
+  TestRun run(300);
+  run.options.sequential = GetParam();
+  run.camera.step_ns = 33 * rt::kNsPerMs + 500'000;
+  run.stage.last_row_ns = 15 * rt::kNsPerMs;
+  FakeImu imu(100'000);
+  run.options.imu = &imu;
+  ASSERT_TRUE(run.go().ok());
+  EXPECT_EQ(run.stage.samples_late, 0u);
+  EXPECT_EQ(run.stage.samples_wrong, 0u);
+  EXPECT_EQ(run.stage.samples, 10032u) << "the last frame's last row is read at 10.0315 s";
+}
+
 TEST_P(BothModes, EachChangeOfStateIsToldOnceWithItsReason) {
   TestRun run(100);
   run.options.sequential = GetParam();

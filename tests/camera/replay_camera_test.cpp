@@ -265,6 +265,23 @@ TEST(ReplayCamera, AtRealPaceNoPictureComesBeforeItsTime) {
   }
 }
 
+TEST(ReplayCamera, AtRealPaceARollingShutterIsWaitedForToItsLastRow) {
+  const TempFolder folder;
+  test::write_tiny_tum(folder.path(), 2);
+  write_file(folder / "camera.yaml", test::tiny_camera_yaml() + "shutter: rolling\nreadout_s: 0.04\n");
+  ReplayOptions options;
+  options.pace = ReplayOptions::Pace::kReal;
+  const auto camera = open(folder.path(), options);
+  ASSERT_NE(camera, nullptr);
+  cv::Mat grey(test::kTinyHeight, test::kTinyWidth, CV_8UC1);
+  CapturedFrame frame;
+  for (int i = 0; i < 2; ++i) {
+    ASSERT_EQ(camera->next({grey.data, grey.cols, grey.rows, grey.cols}, nullptr, rt::kNsPerSecond, &frame, nullptr),
+              CameraStatus::kFrame);
+    EXPECT_GE(rt::monotonic_now_ns(), frame.t_capture_ns + 20 * rt::kNsPerMs) << "captured at its middle row";
+  }
+}
+
 TEST(ReplayCamera, AGapOfAnHourAtRealPaceIsWaitedForInPieces) {
   const TempFolder folder;
   test::write_tiny_tum(folder.path(), 2);
