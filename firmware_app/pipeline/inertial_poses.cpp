@@ -88,6 +88,7 @@ vo::RotationPrior InertialPoses::turn_since_last(rt::TimeNs t_ns) const {
 
 vo::MeasuredShake InertialPoses::shake(rt::TimeNs t_ns) const {
   vo::MeasuredShake out;
+  out.t_ns = t_ns;
   out.known = t_last_ns_ > 0 && odometry_->row_turns(t_last_ns_, t_ns + shift_ns_, &out.turn, &out.rate);
   return out;
 }

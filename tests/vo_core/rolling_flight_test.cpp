@@ -189,6 +189,7 @@ Vec3 shaken(double frame) {
 MeasuredShake read_by_gyroscope(int frame) {
   MeasuredShake out;
   out.known = true;
+  out.t_ns = std::llround(frame * kIntervalS * 1e9);
   constexpr double kLate = 0.0025 / kIntervalS, kLeft = 0.6, kStep = 1e-4;
   Vec3 mean = Vec3::Zero();
   const auto at = [&](double row) { return Vec3(kLeft * shaken(frame + kReadout * (row - 0.5) - kLate)); };

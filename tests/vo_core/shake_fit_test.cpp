@@ -21,6 +21,7 @@ const RollingShutter kShutter{kReadoutS, 0.5};
 MeasuredShake measured(double t_s) {
   MeasuredShake out;
   out.known = true;
+  out.t_ns = std::llround(t_s * 1e9);
   const double rate = 2 * std::numbers::pi * kHz;
   for (int k = 0; k < RowTurns::kRows; ++k) {
     const double t = t_s + kReadoutS * (static_cast<double>(k) / (RowTurns::kRows - 1) - 0.5);
@@ -107,17 +108,18 @@ TEST(ShakeFit, WhatTheyShowNowAndThenIsForgotten) {
 
 /// Tracks of three views whose camera turns and goes evenly, some things moving and some tracks lost on an edge.
 std::vector<InitialTracks::InThreeViews> tracks(double t_s, double gain, double rate_s,
-                                                std::array<MeasuredShake, 3>* shakes, std::mt19937* random) {
+                                                std::array<MeasuredShake, 3>* shakes, std::mt19937* random,
+                                                double dropped = 0, const Vec3& way = Vec3(0.02, 0, 0.03)) {
   std::uniform_real_distribution<double> across(-0.5, 0.5), down(-0.4, 0.4), depth(5, 40), jump(-0.02, 0.02);
   std::normal_distribution<double> noise(0, kNoisePx / 450);
-  for (std::size_t i = 0; i < 3; ++i) (*shakes)[i] = measured(t_s - static_cast<double>(i) / 30);
+  const auto age = [&](std::size_t i) { return static_cast<double>(i) + (i == 2 ? dropped : 0.0); };  // [pictures]
+  for (std::size_t i = 0; i < 3; ++i) (*shakes)[i] = measured(t_s - age(i) / 30);
   std::vector<InitialTracks::InThreeViews> out;
   for (int k = 0; k < 150; ++k) {
     const Vec3 p = Vec3(across(*random), down(*random), 1.0) * depth(*random);
     InitialTracks::InThreeViews one;
     for (std::size_t i = 0; i < 3; ++i) {
-      const Vec3 ray = so3_exp(-static_cast<double>(i) * Vec3(2e-3, -3e-3, 4e-3)) *
-                       (p - static_cast<double>(i) * Vec3(0.02, 0, 0.03));
+      const Vec3 ray = so3_exp(-age(i) * Vec3(2e-3, -3e-3, 4e-3)) * (p - age(i) * way);
       const Vec2 steady = ray.head<2>() / ray.z();
       one.row[i] = 0.5 + steady.y();
       const Vec3 seen = ray + truth((*shakes)[i], gain, rate_s).shake.turn(one.row[i]).cross(ray);
@@ -148,6 +150,18 @@ TEST(ShakeFit, TracksWithoutAMapShowThemToo) {
     EXPECT_NEAR(fit.off(shakes[0], before), apart, 0.2 * apart + 1e-4);
     EXPECT_EQ(fit.off({}, before), 0) << "nothing was measured";
   }
+}
+
+TEST(ShakeFit, PicturesThatWereDroppedBetweenAreNoShake) {
+  ShakeFit fit;
+  std::mt19937 random(3);
+  std::array<MeasuredShake, 3> shakes;
+  for (int k = 0; k < 10; ++k) {
+    const auto seen = tracks(1 + k / 30.0, 0.4, 3e-3, &shakes, &random, 2, Vec3(0.2, 0, 0.1));
+    fit.learn(seen, shakes);
+  }
+  EXPECT_NEAR(fit.gain(), 0.4, 0.03);
+  EXPECT_NEAR(fit.rate_s(), 3e-3, 6e-5);
 }
 
 TEST(ShakeFit, NothingIsLearnedOfWhatWasNotMeasured) {

@@ -55,12 +55,9 @@ FrameCovariance FrameNoise::covariance(const CameraModel& camera, std::span<cons
   std::array<int, kBands> count{};
   in_band.fill(Mat26::Zero());
   for (const PoseMeasurement& m : measurements) {
-    Vec2 r;
-    Mat26 J;
-    if (!pose_residual(camera, T_cam_world, m, &r, &J)) continue;
-    const double inv_sigma = 1.0 / m.sigma_px;
-    const double u = r.norm() * inv_sigma / (weight_scale * kTukey);
-    const double v = u * u;
+    JudgedResidual judged;
+    if (!judge_residual(camera, T_cam_world, m, weight_scale, &judged)) continue;
+    auto& [r, J, inv_sigma, v] = judged;
     const bool edgelet = m.type == FeatureType::kEdgelet;
     J *= inv_sigma;
     H.noalias() += J.transpose() * J;

@@ -243,4 +243,13 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
   return result;
 }
 
+bool judge_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, double weight_scale,
+                    JudgedResidual* out) {
+  if (!pose_residual(camera, T_cam_world, m, &out->r, &out->J)) return false;
+  out->inv_sigma = 1.0 / m.sigma_px;
+  const double u = out->r.norm() * out->inv_sigma / (weight_scale * kTukey);
+  out->v = u * u;
+  return true;
+}
+
 }  // namespace godwit::vo

@@ -59,4 +59,14 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
 bool pose_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, Vec2* residual,
                    Mat26* J);
 
+/// The same as Tukey's biweight of a pose sees it: `v` is the square of the residual over where it counts no more,
+/// which is kTukey times weight_scale stated sigmas.
+struct JudgedResidual {
+  Vec2 r;
+  Mat26 J;
+  double inv_sigma, v;
+};
+bool judge_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, double weight_scale,
+                    JudgedResidual* out);
+
 }  // namespace godwit::vo

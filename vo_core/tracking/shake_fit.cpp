@@ -12,8 +12,6 @@ namespace {
 constexpr double kShakeGainSigma = 0.5, kShakeDelaySigma = 3e-3;
 constexpr double kShakeKept = 0.998;  ///< of the sums a picture later: how a sensor sits may change as it warms up
 constexpr int kFewestTracks = 20;
-/// Where a track lies in three views one after the other, if it goes evenly, adds up to nothing by these.
-constexpr std::array<double, 3> kEvenly = {1.0, -2.0, 1.0};
 
 /// By how much a turn of T_cam_world moves what is seen at xy on the plane z = 1.
 Mat23 moved_by_turn(const Vec2& xy) {
@@ -68,13 +66,10 @@ void ShakeFit::learn(const CameraModel& camera, std::span<const PoseMeasurement>
   Eigen::Matrix<double, 8, 8> H = Eigen::Matrix<double, 8, 8>::Zero();
   Eigen::Matrix<double, 8, 1> b = Eigen::Matrix<double, 8, 1>::Zero();
   for (const PoseMeasurement& m : measurements) {
-    Vec2 r;
-    Mat26 J;
-    if (!pose_residual(camera, T_cam_world, m, &r, &J)) continue;
-    const double inv_sigma = 1.0 / m.sigma_px;
-    const double u = r.norm() * inv_sigma / (weight_scale * kTukey);
-    if (u >= 1.0) continue;
-    const double weight = std::pow((1.0 - u * u) * inv_sigma, 2);
+    JudgedResidual judged;
+    if (!judge_residual(camera, T_cam_world, m, weight_scale, &judged) || judged.v >= 1.0) continue;
+    const auto& [r, J, inv_sigma, v] = judged;
+    const double weight = std::pow((1.0 - v) * inv_sigma, 2);
     const double row = m.px.y() / camera.height();
     Eigen::Matrix<double, 2, 8> A;
     A.leftCols<6>() = J;
@@ -95,14 +90,19 @@ void ShakeFit::learn(std::span<const InitialTracks::InThreeViews> tracks,
   Eigen::Matrix<double, 5, 1> b, x = Eigen::Matrix<double, 5, 1>::Zero();
   x.tail<2>() = found_;
   double variance = 0.0;
+  // Where a track that goes evenly lies in the three views adds up to nothing by these, dropped pictures or not.
+  const auto apart = [&](std::size_t i) { return static_cast<double>(measured[i].t_ns - measured[i + 1].t_ns); };
+  if (!(apart(0) > 0.0 && apart(1) > 0.0)) return;
+  const double longer = apart(0) / apart(1);
+  const std::array<double, 3> evenly = {1.0, -1.0 - longer, longer};
   const auto equations = [&](const InitialTracks::InThreeViews& t, Eigen::Matrix<double, 2, 5>* A) {
     Vec2 off = Vec2::Zero();
     *A << moved_by_turn(t.xy[0]), Vec2::Zero(), Vec2::Zero();
     for (std::size_t i = 0; i < 3; ++i) {
       const Mat23 moved = moved_by_turn(t.xy[i]);
-      off += kEvenly[i] * t.xy[i];
-      A->col(3) += kEvenly[i] * moved * measured[i].turn.turn(t.row[i]);
-      A->col(4) += kEvenly[i] * moved * measured[i].rate.turn(t.row[i]);
+      off += evenly[i] * t.xy[i];
+      A->col(3) += evenly[i] * moved * measured[i].turn.turn(t.row[i]);
+      A->col(4) += evenly[i] * moved * measured[i].rate.turn(t.row[i]);
     }
     return off;
   };

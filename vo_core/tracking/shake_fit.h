@@ -5,6 +5,7 @@
 #include <array>
 #include <span>
 
+#include "hal/rt/time.h"
 #include "vo_core/features/initial_tracks.h"
 #include "vo_core/geometry/rolling_shutter.h"
 #include "vo_core/tracking/pose_optimizer.h"
@@ -16,6 +17,7 @@ namespace godwit::vo {
 /// fast it turns there [rad/s].
 struct MeasuredShake {
   bool known = false;
+  rt::TimeNs t_ns = 0;  ///< of the middle row
   RowTurns turn, rate;
 };
 
