@@ -204,6 +204,7 @@ MeasuredShake read_by_gyroscope(int frame) {
 
 TEST(RollingFlight, AGyroscopeTakesTheShakeOutOfTheRows) {
   std::vector<std::unique_ptr<test::Picture>> pictures;
+  pictures.reserve(70);
   const auto pose = [](double frame) { return SE3(so3_exp(shaken(frame)), Vec3::Zero()) * pose_at(frame); };
   for (int frame = 0; frame < 70; ++frame)
     pictures.push_back(std::make_unique<test::Picture>(

@@ -160,28 +160,28 @@ Vec3 ImuBuffer::turned(rt::TimeNs t0_ns, rt::TimeNs t1_ns) const {
 bool ImuBuffer::row_turns(rt::TimeNs t_before_ns, rt::TimeNs t_ns, rt::TimeNs span_ns, std::span<Vec3> turns,
                           std::span<Vec3> rates) const {
   const rt::TimeNs first = t_ns - span_ns / 2, last = t_ns + span_ns / 2, before = t_before_ns - span_ns / 2;
-  if (count_ < 2 || span_ns <= 0 || t_before_ns >= t_ns || before < at(0).t_ns) return false;
+  const auto gaps = static_cast<rt::TimeNs>(turns.size()) - 1;  // between the first row and the last
+  if (gaps < 1 || count_ < 2 || span_ns <= 0 || t_before_ns >= t_ns || before < at(0).t_ns) return false;
   // A reading is missing at the end where the next two would be due by now: times told scatter.
   const rt::TimeNs pace = (newest_ns() - at(0).t_ns) / static_cast<rt::TimeNs>(count_ - 1);
   if (newest_ns() + 2 * pace < last) return false;
   for (std::size_t i = at_or_before(before); i + 1 < count_ && at(i).t_ns < last; ++i)
     if (at(i + 1).t_ns - at(i).t_ns > kGapNs || at(i).gyro_saturated) return false;
-  const auto rows = static_cast<rt::TimeNs>(turns.size());
-  const auto time_of = [&](rt::TimeNs middle, rt::TimeNs k) { return middle - span_ns / 2 + span_ns * k / (rows - 1); };
+  const auto time_of = [&](rt::TimeNs middle, rt::TimeNs k) { return middle - span_ns / 2 + span_ns * k / gaps; };
   // Mean of the rows' turns since the first of them; of the first row and the last only half lies within.
   const auto mean_of_rows = [&](rt::TimeNs middle, auto&& keep) {
     Vec3 turn = Vec3::Zero(), sum = Vec3::Zero();
-    for (rt::TimeNs k = 0; k < rows; ++k) {
+    for (rt::TimeNs k = 0; k <= gaps; ++k) {
       if (k > 0) turn += turned(time_of(middle, k - 1), time_of(middle, k));
-      sum += (k == 0 || k + 1 == rows ? 0.5 : 1.0) * turn;
+      sum += (k == 0 || k == gaps ? 0.5 : 1.0) * turn;
       keep(static_cast<std::size_t>(k), turn);
     }
-    return Vec3(sum / static_cast<double>(rows - 1));
+    return Vec3(sum / static_cast<double>(gaps));
   };
   const Vec3 then = mean_of_rows(t_before_ns, [](std::size_t, const Vec3&) {});
   const Vec3 now = mean_of_rows(t_ns, [&](std::size_t k, const Vec3& turn) { turns[k] = turn; });
   const Vec3 steady = (turned(before, first) + now - then) / rt::to_seconds(t_ns - t_before_ns);
-  for (rt::TimeNs k = 0; k < rows; ++k) {
+  for (rt::TimeNs k = 0; k <= gaps; ++k) {
     turns[static_cast<std::size_t>(k)] -= now + rt::to_seconds(time_of(t_ns, k) - t_ns) * steady;
     rates[static_cast<std::size_t>(k)] = rate_at(time_of(t_ns, k)) - steady;
   }

@@ -7,7 +7,7 @@ namespace godwit::vo {
 
 bool InertialOdometry::camera_turn(rt::TimeNs t_ref_ns, rt::TimeNs t_cur_ns, Mat3* R_cur_ref) const {
   if (buffer_.empty() || !metric()) return false;  // before, the gyroscope's bias is not known
-  const S& x = smoother_.newest();
+  const InertialState& x = smoother_.newest();
   const rt::TimeNs shift = static_cast<rt::TimeNs>(x.time_offset_s * 1e9);
   Preintegration d(x.bias);
   const auto covered = buffer_.integrate(t_ref_ns + shift, t_cur_ns + shift, options_.model.imu, &d);

@@ -245,10 +245,11 @@ PoseOptimizerResult optimize_pose(const CameraModel& camera, const PoseOptimizer
 
 bool judge_residual(const CameraModel& camera, const SE3& T_cam_world, const PoseMeasurement& m, double weight_scale,
                     JudgedResidual* out) {
-  if (!pose_residual(camera, T_cam_world, m, &out->r, &out->J)) return false;
-  out->inv_sigma = 1.0 / m.sigma_px;
-  const double u = out->r.norm() * out->inv_sigma / (weight_scale * kTukey);
-  out->v = u * u;
+  Vec2 r;
+  Mat26 J;
+  if (!pose_residual(camera, T_cam_world, m, &r, &J)) return false;
+  const double inv_sigma = 1.0 / m.sigma_px, u = r.norm() * inv_sigma / (weight_scale * kTukey);
+  *out = {r, J, inv_sigma, u * u};
   return true;
 }
 
