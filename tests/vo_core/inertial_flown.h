@@ -41,6 +41,7 @@ class Flown {
     VisualPose pose;
     pose.t_ns = seen.t_ns + late_ns_;
     pose.tracked = tracked_;
+    pose.still = still_;
     pose.map_id = map_id_;
     pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
     pose.covariance = 1e-9 * Mat6::Identity();
@@ -150,7 +151,7 @@ class Flown {
 
   Flight& flight_;
   std::unique_ptr<InertialOdometry> odometry_;
-  bool silent_ = false, poison_ = false, tracked_ = true, young_ = false;
+  bool silent_ = false, poison_ = false, tracked_ = true, young_ = false, still_ = false;
   Vec3 strayed_ = Vec3::Zero();
   double told_variance_ = 1e-9;
   double lean_ = 0;   ///< [rad]

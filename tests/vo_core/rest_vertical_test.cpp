@@ -37,7 +37,15 @@ class Sensor {
       r.accel_saturated = accel_ends_;
       buffer_.add(r);
       rest_.add(r);
+      v_world_ += 0.005 * (R_world_body_ * so3_exp(0.0025 * rate) * acceleration);
       R_world_body_ = R_world_body_ * so3_exp(0.005 * rate);
+    }
+  }
+  /// As long on the ground, before pictures that show it.
+  void stand(double seconds) {
+    for (int k = 0; k < std::lround(seconds * 20); ++k) {
+      rest_.picture(t_ns_, true);
+      go(0.05, Vec3::Zero(), Vec3::Zero());
     }
   }
   KnownVertical now() const { return rest_.at(t_ns_, buffer_); }
@@ -56,6 +64,7 @@ class Sensor {
   ImuBuffer buffer_;
   RestVertical rest_{noise_, kStandardGravity, 0.1};
   Mat3 R_world_body_ = so3_exp(Vec3(0.3, -0.2, 1));
+  Vec3 v_world_ = Vec3::Zero();
   rt::TimeNs t_ns_ = 0;
 };
 
@@ -85,6 +94,82 @@ TEST(RestVertical, IsCarriedByTheGyroscopeWhereItIsTurnedAndPushed) {
   }
   EXPECT_LT(nees / 20, 1.5);
   EXPECT_GT(nees / 20, 0.01);
+}
+
+TEST(RestVertical, KnowsHowFastOneHasBecomeSince) {
+  double nees = 0;
+  for (unsigned seed = 1; seed <= 20; ++seed) {
+    Sensor s(seed);
+    s.stand(2);
+    s.go(1, Vec3(0.1, -0.2, 0.2), Vec3(0.5, 0.3, 2));
+    s.go(1.5, Vec3(-0.1, 0.2, 0.3), Vec3(-0.2, 0.3, 0));
+    const KnownVertical v = s.now();
+    ASSERT_GT(v.velocity_sigma, 0);
+    EXPECT_LT(v.velocity_sigma, 0.2) << "of 2 m/s, after a turn by half a radian";
+    const Vec3 off = s.R_world_body_.transpose() * s.v_world_ - v.velocity - v.velocity_by_bias * s.bias_.accel;
+    EXPECT_LT(off.norm(), 4 * v.velocity_sigma) << seed;
+    nees += std::pow(off.norm() / v.velocity_sigma, 2) / 3;
+    // And of a time before, and carried on from there.
+    const rt::TimeNs then_ns = s.t_ns_ - 700 * rt::kNsPerMs;
+    KnownVertical on = s.rest_.at(then_ns, s.buffer_);
+    Preintegration d(ImuBias{on.gyro_bias, Vec3::Zero()});
+    s.buffer_.integrate(then_ns, s.t_ns_, s.noise_, &d);
+    on.go_on(d);
+    EXPECT_LT((on.velocity - v.velocity).norm(), 5e-3);
+    EXPECT_LT((on.velocity_by_bias - v.velocity_by_bias).norm(), 2e-3);
+    EXPECT_NEAR(on.velocity_sigma, v.velocity_sigma, 0.2 * v.velocity_sigma);
+    // What it read at rest beyond gravity is the bias along it.
+    EXPECT_NEAR(v.beyond_gravity, v.up_at_rest.dot(s.bias_.accel), 4 * v.beyond_gravity_sigma);
+    EXPECT_LT(v.gyro_bias_sigma, 1e-3);
+    EXPECT_LT((v.gyro_bias - s.bias_.gyro).norm(), 4 * v.gyro_bias_sigma);
+  }
+  EXPECT_LT(nees / 20, 1.5);
+  EXPECT_GT(nees / 20, 0.01);
+}
+
+TEST(RestVertical, OnlyOfARestThatPicturesShowIsTheVelocityKnown) {
+  Sensor even(7);
+  even.v_world_ = Vec3(5, 0, 0);
+  even.go(3, Vec3::Zero(), Vec3::Zero());
+  EXPECT_TRUE(even.now().known) << "who flies evenly and is not shaken reads the same";
+  EXPECT_EQ(even.now().velocity_sigma, 0);
+  // A first view that is renewed again and again shows no motion in the picture after it.
+  for (int k = 0; k < 60; ++k) {
+    even.rest_.picture(even.t_ns_, k % 2 > 0);
+    even.go(0.05, Vec3::Zero(), Vec3::Zero());
+  }
+  EXPECT_EQ(even.now().velocity_sigma, 0);
+  Sensor moved(8);
+  moved.stand(0.6);
+  moved.rest_.picture(moved.t_ns_, false);
+  moved.go(0.5, Vec3::Zero(), Vec3::Zero());
+  moved.go(0.5, Vec3::Zero(), Vec3(1, 0, 0));
+  EXPECT_TRUE(moved.now().known);
+  EXPECT_EQ(moved.now().velocity_sigma, 0) << "the pictures moved half a second before it ended";
+  Sensor pushed(9);
+  pushed.stand(2);
+  EXPECT_GT(pushed.now().velocity_sigma, 0);
+  pushed.accel_ends_ = true;
+  pushed.go(0.02, Vec3::Zero(), Vec3(0, 0, 150));
+  EXPECT_EQ(pushed.now().velocity_sigma, 0) << "nobody knows how hard";
+}
+
+// Seconds after a take-off a steady push reads as a rest whose vertical leans, and an even cruise as one of no
+// velocity.
+TEST(RestVertical, ARestThatPicturesShowIsNotGivenUpForOneThatTheyDont) {
+  Sensor s(10);
+  s.stand(2);
+  s.go(3, Vec3::Zero(), Vec3(1.5, 0, 0));
+  KnownVertical v = s.now();
+  EXPECT_LT(s.off(v), 4 * v.sigma) << "a push of 1.5 m/s^2 leans by 0.15 rad";
+  s.go(3, Vec3::Zero(), Vec3::Zero());
+  v = s.now();
+  ASSERT_GT(v.velocity_sigma, 0);
+  EXPECT_LT((s.R_world_body_.transpose() * s.v_world_ - v.velocity).norm(), 4 * v.velocity_sigma);
+  // What is known of it has grown old: then the next is taken, and nothing known of how fast one is.
+  s.go(6, Vec3::Zero(), Vec3::Zero());
+  EXPECT_TRUE(s.now().known);
+  EXPECT_EQ(s.now().velocity_sigma, 0);
 }
 
 TEST(RestVertical, WhoMovesIsNotAtRest) {
@@ -217,6 +302,38 @@ TEST(RestVertical, AMapThatTurnsAsAWholeIsLevelledAsVisionSeesTheCamera) {
   EXPECT_LT(tilt / told, 0.015);
   EXPECT_LT(std::sqrt(error2 / told), 0.05);
   EXPECT_LT(nees / told, 2.0);
+}
+
+// Four seconds after it stood it goes evenly, and only then its map begins: nothing of that shows a scale.
+TEST(RestVertical, AMapThatBeginsOnASteadyWayHasTheScaleOfHowFastItBecame) {
+  for (const bool still : {true, false}) {
+    double off2 = 0, nees = 0;
+    int begun = 0;
+    for (unsigned seed = 1; seed <= 12; ++seed) {
+      Flight flight(0, 1100 + seed);
+      flight.stops_at_ = 2;
+      flight.cruises_ = 2;
+      Flown flown(&flight, true);
+      for (int k = 0; k < 140; ++k) {
+        flown.tracked_ = k >= 85;
+        flown.still_ = still && k < 46;
+        const MetricPose pose = flown.frame(k);
+        if (!pose.valid) continue;
+        const double off = flown.odometry_->smoother().newest().log_scale - std::log(flight.scale_);
+        off2 += off * off;
+        nees += off * off / (pose.log_scale_sigma * pose.log_scale_sigma);
+        ++begun;
+        break;
+      }
+    }
+    if (!still) {
+      EXPECT_EQ(begun, 0) << "a way that nobody saw begin has no scale, and none is told";
+      continue;
+    }
+    ASSERT_EQ(begun, 12);
+    EXPECT_LT(std::sqrt(off2 / 12), 0.06);
+    EXPECT_LT(nees / 12, 2.0);
+  }
 }
 
 // It may not have been a rest: on a ship's deck that gathers way a sensor reads a steady force that is not gravity

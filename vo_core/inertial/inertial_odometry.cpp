@@ -10,13 +10,6 @@ namespace godwit::vo {
 
 using S = InertialState;
 
-namespace {
-
-/// How sure one is of a gyroscope's bias that was seen some seconds ago, by a map before or at rest [rad/s].
-constexpr double kKeptGyroSigma = 2e-3;
-
-}  // namespace
-
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
     : MetricMap(options.stray_as_seen()),
       options_(options),
@@ -129,7 +122,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     const auto sigma = [&](int i, int n, double floor) {
       return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment(i, n).maxCoeff()));
     };
-    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, kKeptGyroSigma));
+    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, RestVertical::kGyroSigma));
     prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
     begin_accel_sigma_ = std::min(begin_accel_sigma_, sigma(S::kAccelBias, 3, 3e-2));
     // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
@@ -174,25 +167,6 @@ bool InertialOdometry::add_node(const VisualPose& pose, rt::TimeNs after_ns) {
   return true;
 }
 
-bool InertialOdometry::convincing(const InertialSmoother::Report& report) {
-  if (!report.ok) return refuse("the window has no solution", 0, 0);
-  const auto& C = smoother_.covariance();
-  const double scale_sigma = std::sqrt(C(S::kScale, S::kScale));
-  const double up_sigma = std::sqrt(C.diagonal().segment<2>(S::kUp).maxCoeff());
-  attempt_up_ = up_sigma < options_.begin_up_sigma ? smoother_.newest().up : Vec3(Vec3::Zero());
-  attempt_up_sigma_ = up_sigma;
-  if (!(scale_sigma < options_.begin_scale_sigma))
-    return refuse("the scale is not seen: its sigma [0.1 %]", 1e3 * scale_sigma, 1e3 * options_.begin_scale_sigma);
-  if (!(up_sigma < options_.begin_up_sigma))
-    return refuse("the vertical is not seen: its sigma [mrad]", 1e3 * up_sigma, 1e3 * options_.begin_up_sigma);
-  const double chi2 = 100 * report.chi2 / std::max(1, report.rows), most = 100 * options_.begin_chi2;
-  const bool fits = chi2 < most ? plausible(4)
-                                : refuse("vision and inertial sensor disagree: chi-square a degree [0.01]", chi2, most);
-  // It may not have been a rest: the next attempt goes without.
-  if (!fits) first_vertical_.known = false;
-  return fits;
-}
-
 bool InertialOdometry::plausible(double most_sigmas) {
   const S& x = smoother_.newest();
   const double off = std::max((x.bias.gyro - prior_.bias.gyro).norm() / prior_.gyro_bias_sigma,
@@ -201,56 +175,6 @@ bool InertialOdometry::plausible(double most_sigmas) {
   const double turned = (x.mounting - prior_.mounting).norm() / prior_.mounting_sigma;
   if (!(turned < most_sigmas))
     return refuse("the sensor would sit far from how it is configured [0.1 sigma]", 10 * turned, 10 * most_sigmas);
-  return true;
-}
-
-double InertialOdometry::course_sigma(std::span<const InertialNode> window) const {
-  const InertialNode &first = window.front(), &last = window.back();
-  const double way = (last.sight.camera - first.sight.camera).norm();
-  const double strayed = position_stray(last.sight, options_.model) * std::sqrt(rt::to_seconds(last.t_ns - first.t_ns));
-  return std::clamp(options_.model.course_begin * strayed / std::max(way, 1e-12), options_.least_course_sigma,
-                    options_.most_course_sigma);
-}
-
-bool InertialOdometry::try_to_begin(const VisualPose& pose) {
-  const int n = smoother_.size();
-  if (n < 6 || pose.t_ns - smoother_.node(0).t_ns < options_.begin_span_ns) return false;
-  std::array<InertialNode, InertialSmoother::kNodes> nodes;
-  for (int i = 0; i < n; ++i) nodes[i] = smoother_.node(i);
-  const std::span<const InertialNode> window(nodes.data(), n);
-  const TurnAgreement turns = agreement_of_turns(window, smoother_.mounting(), prior_.bias);
-  if (turns.about_other_axes())
-    return refuse("sensor and pictures turn about other axes: cosine [0.01]", 100 * turns.cosine,
-                  100 * TurnAgreement::kSameAxes);
-  ImuBias bias = prior_.bias;
-  bias.gyro = stood() ? first_vertical_.gyro_bias
-                      : align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
-  const ScaleHint others = hint();
-  const Alignment found =
-      align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
-  if (!found.ok) return refuse("no scale fits", 0, 0);
-  // The moments anew, each from the one before by what the alignment found.
-  smoother_.clear();
-  smoother_.add(window[0]);
-  S& first = smoother_.state(0);
-  first.bias = found.bias;
-  first.log_scale = found.log_scale;
-  // A vertical is linearised where it counts from: not at one that vision's accelerations may have tilted by far.
-  first.up = stood() ? first_vertical_.in_map(first.R_map_body, found.bias.accel) : found.up;
-  first.velocity = found.velocity;
-  first.mounting = prior_.mounting;
-  first.time_offset_s = prior_.time_offset_s;
-  for (int i = 1; i < n; ++i) smoother_.add(window[i]);
-  const double course = course_sigma(window);
-  set_prior(begin_accel_sigma_, course);
-  count_on(others);
-  if (!convincing(smoother_.solve(6))) return false;
-  if (begin_accel_sigma_ > prior_.accel_bias_sigma) {
-    set_prior(prior_.accel_bias_sigma, course);
-    if (!smoother_.solve(2).ok) return false;
-  }
-  begin(pose, up_seen());
-  strayed2_ = 0;
   return true;
 }
 
@@ -263,21 +187,9 @@ void InertialOdometry::stray_on() {
   strayed2_ += share * share * stray * stray * seen_s;
 }
 
-void InertialOdometry::set_prior(double accel_bias_sigma, double course_sigma) {
-  InertialPrior prior = prior_;
-  prior.accel_bias_sigma = accel_bias_sigma;
-  prior.course_sigma = course_sigma;
-  if (stood()) {
-    // What the gyroscope read at rest is its bias; else a young map, which turns by itself, would be taken for one.
-    prior.bias.gyro = first_vertical_.gyro_bias;
-    prior.gyro_bias_sigma = std::min(prior.gyro_bias_sigma, kKeptGyroSigma);
-  }
-  smoother_.set_prior(prior);
-  if (stood()) smoother_.add_vertical(first_vertical_);
-}
-
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
   contradicted_ = false;
+  rest_.picture(moment_of(pose), !pose.tracked && pose.still);
   if (!pose.tracked || buffer_.empty()) return {};
   stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)

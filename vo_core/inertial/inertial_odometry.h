@@ -126,9 +126,14 @@ class InertialOdometry : public MetricMap {
   double course_sigma(std::span<const InertialNode> window) const;
   /// The vertical of its first moment is known from a rest before it.
   bool stood() const { return first_vertical_.known && first_vertical_.sigma < options_.begin_up_sigma; }
+  /// And how fast one has become since.
+  bool gone_since_rest() const { return stood() && first_vertical_.velocity_sigma > 0; }
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   /// Whether the map became metric with it.
   bool try_to_begin(const VisualPose& pose);
+  /// What a window whose first moment knows its velocity from a rest before begins with: in a steady climb the closed
+  /// form sees no scale.
+  Alignment align_by_rest(std::span<const InertialNode> window, const ImuBias& bias) const;
   /// Begins with what is known of the sensor, its accelerometer's bias as well as this.
   void set_prior(double accel_bias_sigma, double course_sigma);
   /// Biases and mounting are no further from what they were taken to be at first.

@@ -84,18 +84,34 @@ void InertialSmoother::set_prior(const InertialPrior& p) {
 }
 
 void InertialSmoother::add_vertical(const KnownVertical& vertical) {
-  // R_body_map up - (what was known + what the bias makes of it), by rotation, up and bias.
   const InertialState& x = state(0);
+  // The prior counts from prior_at_, residuals from here.
+  const auto count = [&](const auto& J, const auto& r) {
+    prior_H_ += J.transpose().lazyProduct(J);
+    prior_b_ += J.transpose().lazyProduct(J.lazyProduct(x.minus(prior_at_)) - r);
+  };
+  // R_body_map up - (what was known + what the bias makes of it), by rotation, up and bias.
   const Vec3 up_body = x.R_map_body.transpose() * x.up;
   Eigen::Matrix<double, 3, S::kSize> J = Eigen::Matrix<double, 3, S::kSize>::Zero();
   J.block<3, 3>(0, S::kRotation) = skew(up_body);
   J.block<3, 2>(0, S::kUp) = x.R_map_body.transpose() * x.up_basis();
   J.block<3, 3>(0, S::kAccelBias) = -vertical.by_bias;
   J /= vertical.sigma;
-  const Vec3 r = (up_body - vertical.up - vertical.by_bias * x.bias.accel) / vertical.sigma;
-  prior_H_ += J.transpose().lazyProduct(J);
-  // The prior counts from prior_at_, r from here.
-  prior_b_ += J.transpose().lazyProduct(J.lazyProduct(x.minus(prior_at_)) - r);
+  count(J, Vec3((up_body - vertical.up - vertical.by_bias * x.bias.accel) / vertical.sigma));
+  if (!(vertical.velocity_sigma > 0)) return;
+  // The same of the velocity, by rotation, velocity and bias.
+  const Vec3 v_body = x.R_map_body.transpose() * x.velocity;
+  J.setZero();
+  J.block<3, 3>(0, S::kRotation) = skew(v_body);
+  J.block<3, 3>(0, S::kVelocity) = x.R_map_body.transpose();
+  J.block<3, 3>(0, S::kAccelBias) = -vertical.velocity_by_bias;
+  J /= vertical.velocity_sigma;
+  count(J, Vec3((v_body - vertical.velocity - vertical.velocity_by_bias * x.bias.accel) / vertical.velocity_sigma));
+  // And of the bias along gravity.
+  const double weight = 1 / vertical.beyond_gravity_sigma;
+  Eigen::Matrix<double, 1, S::kSize> along = Eigen::Matrix<double, 1, S::kSize>::Zero();
+  along.segment<3>(S::kAccelBias) = weight * vertical.up_at_rest.transpose();
+  count(along, Eigen::Matrix<double, 1, 1>(weight * (vertical.up_at_rest.dot(x.bias.accel) - vertical.beyond_gravity)));
 }
 
 void InertialSmoother::add(const InertialNode& node) {

@@ -57,7 +57,7 @@ class InertialSmoother {
 
   /// The prior of the oldest moment: biases, mounting, time, course; nothing of scale, vertical and velocity.
   void set_prior(const InertialPrior& prior);
-  /// Adds to that what is known of the vertical at the oldest moment.
+  /// Adds to that what is known of the vertical at the oldest moment, and of the velocity, if it is.
   void add_vertical(const KnownVertical& vertical);
 
   /// What others say of the logarithm of the newest moment's scale, one sigma; 0: nobody does. It counts in each

@@ -7,11 +7,28 @@ namespace godwit::vo {
 namespace {
 
 constexpr double kRestS = 1.0;  ///< that a rest was averaged over
+/// Of a velocity gained: how wrongly scaled an accelerometer of this kind is (MPU-6000: 3 % as it is bought, less when
+/// calibrated); and what a push that is too small to end a rest makes of one.
+constexpr double kVelocityShare = 0.02, kUnseenPush = 0.02, kUnseenForce = 0.02;
+/// Of the last of a rest its pictures may be still to come.
+constexpr rt::TimeNs kUnseenNs = 300 * rt::kNsPerMs;
+/// As long one that the pictures showed is not given up for one that they don't: after it, the velocity since is known
+/// to half a metre a second (what an MPU-6000 turns and leans by, below).
+constexpr rt::TimeNs kKeptNs = 10 * rt::kNsPerSecond;
 
 }  // namespace
 
 void KnownVertical::go_on(const Preintegration& d) {
   const Mat3 back = d.dR(gyro_bias).transpose();
+  if (velocity_sigma > 0) {
+    velocity = back * (velocity + d.dv(ImuBias{gyro_bias, Vec3::Zero()}) - d.dt_s() * force);
+    velocity_by_bias = back * (velocity_by_bias + d.dv_dba() + d.dt_s() * R_body_rest);
+    // White forces, and what the vertical is off by, which stays.
+    velocity_sigma = std::sqrt(velocity_sigma * velocity_sigma + 4 / 3.0 * d.covariance().block<3, 3>(3, 3).trace()) +
+                     force.norm() * sigma * d.dt_s();
+    force = back * force;
+    R_body_rest = back * R_body_rest;
+  }
   up = back * up;
   by_bias = back * by_bias;
 }
@@ -28,7 +45,12 @@ void RestVertical::add(const ImuReading& reading) {
     known_ = false;
   } else if (known_) {
     const Vec3 rate = 0.5 * (last_.gyro_rad_s + reading.gyro_rad_s) - gyro_bias_;
-    R_rest_body_ = R_rest_body_ * so3_exp(rate * rt::to_seconds(step_ns));
+    const double step_s = rt::to_seconds(step_ns);
+    const Mat3 R_middle = R_rest_body_ * so3_exp(0.5 * step_s * rate);
+    velocity_ += step_s * (R_middle * (0.5 * (last_.accel_m_s2 + reading.accel_m_s2)) - stood_force_);
+    turns_ += step_s * R_middle;
+    R_rest_body_ = R_rest_body_ * so3_exp(rate * step_s);
+    velocity_known_ = velocity_known_ && !reading.accel_saturated;
   }
   last_ = reading;
   heard_ = true;
@@ -47,11 +69,38 @@ void RestVertical::close_block() {
   t_block_ns_ = last_.t_ns;
   Block mean;
   if (!at_rest(&mean)) return;
+  const bool shown = shown_as_still(last_.t_ns);
+  if (known_ && shown_ && !shown && last_.t_ns - t_rest_ns_ < kKeptNs) return;
   known_ = true;
+  shown_ = shown;
   force_ = mean.accel;
   gyro_bias_ = mean.gyro;
   R_rest_body_.setIdentity();
   t_rest_ns_ = last_.t_ns;
+  velocity_known_ = true;
+  stood_force_.setZero();
+  velocity_.setZero();
+  const auto block = [&](int k) { return blocks_[(block_next_ + k) % kBlocks].accel; };  // the oldest first
+  for (int k = 0; k < kBlocks - kDoubtful; ++k) stood_force_ += block(k) / (kBlocks - kDoubtful);
+  const double block_s = rt::to_seconds(kBlockNs);
+  for (int k = kBlocks - kDoubtful; k < kBlocks; ++k) velocity_ += block_s * (block(k) - stood_force_);
+  turns_ = kDoubtful * block_s * Mat3::Identity();
+}
+
+void RestVertical::picture(rt::TimeNs t_ns, bool still) {
+  if (!still)
+    still_since_ns_ = kNever;
+  else if (still_since_ns_ == kNever)
+    still_since_ns_ = t_ns;
+  if (!still) return;
+  still_until_ns_ = t_ns;
+  shown_ = shown_ || (known_ && shown_as_still(t_rest_ns_));
+}
+
+bool RestVertical::shown_as_still(rt::TimeNs end_ns) const {
+  const auto rest_ns = static_cast<rt::TimeNs>(kRestS * rt::kNsPerSecond);
+  return still_since_ns_ != kNever && still_since_ns_ <= end_ns - rest_ns + kUnseenNs &&
+         still_until_ns_ >= end_ns - kUnseenNs;
 }
 
 bool RestVertical::at_rest(Block* mean) const {
@@ -87,6 +136,7 @@ KnownVertical RestVertical::at(rt::TimeNs t_ns, const ImuBuffer& buffer) const {
   out.up = back * up;
   out.by_bias = back * (up * up.transpose() - Mat3::Identity()) / strength;
   out.gyro_bias = gyro_bias_;
+  out.gyro_bias_sigma = kGyroSigma;
   // The means over the rest, white; then what the gyroscope's noise, its mean's, its walk and its scale turned.
   const double t = std::max(0.0, rt::to_seconds(t_ns - t_rest_ns_));
   const double turn = kTurnShare * so3_log(R_rest_body).norm();
@@ -94,6 +144,31 @@ KnownVertical RestVertical::at(rt::TimeNs t_ns, const ImuBuffer& buffer) const {
                              noise_.gyro * noise_.gyro * (t + t * t / kRestS) +
                              noise_.gyro_walk * noise_.gyro_walk * t * t * t / 3) +
                         turn * turn);
+  if (!velocity_known_ || !shown_) return out;
+  out.gyro_bias_sigma = 2 * std::sqrt(noise_.gyro * noise_.gyro / kRestS + noise_.gyro_walk * noise_.gyro_walk * t);
+  const double since_s = t + kDoubtful * rt::to_seconds(kBlockNs),
+               stood_s = kRestS - kDoubtful * rt::to_seconds(kBlockNs);
+  const double step_s = rt::to_seconds(t_ns - last_.t_ns);
+  const Vec3 gained = since.dv(ImuBias{gyro_bias_, Vec3::Zero()});
+  const bool later = t_ns > last_.t_ns;
+  const Mat3& R_from = later ? R_rest_body_ : R_rest_body;  // of where `since` begins
+  const Vec3 velocity = velocity_ + (later ? 1.0 : -1.0) * (R_from * gained) - step_s * stood_force_;
+  const Mat3 turns = turns_ - (later ? 1.0 : -1.0) * (R_from * since.dv_dba());
+  out.velocity = back * velocity;
+  out.velocity_by_bias = back * (since_s * Mat3::Identity() - turns);
+  out.force = back * stood_force_;
+  out.up_at_rest = stood_force_.normalized();
+  out.beyond_gravity = stood_force_.norm() - gravity_m_s2_;
+  out.beyond_gravity_sigma =
+      std::sqrt(4 * (noise_.accel * noise_.accel / stood_s + noise_.accel_walk * noise_.accel_walk * t) +
+                kUnseenForce * kUnseenForce);
+  out.R_body_rest = back;
+  // White forces and the mean that is taken off them; what the gyroscope's noise, its mean's and its scale lean them
+  // by; the accelerometer's scale.
+  const double white = noise_.accel * noise_.accel * (since_s + since_s * since_s / stood_s);
+  const double leant = std::pow(strength * noise_.gyro, 2) * (std::pow(t, 3) / 3 + std::pow(t, 4) / (4 * kRestS));
+  out.velocity_sigma = std::sqrt(4 * (white + leant) + std::pow(0.5 * strength * turn * t, 2) +
+                                 std::pow(kVelocityShare * velocity.norm(), 2) + kUnseenPush * kUnseenPush);
   return out;
 }
 

@@ -1,27 +1,40 @@
-// The vertical that an accelerometer shows while nothing moves it, carried on by the gyroscope once something does. A
-// vehicle stands before it takes off, and its map begins on the climb, when vision's own accelerations are those of a
-// map a second old.
+// The vertical that an accelerometer shows while nothing moves it, carried on by the gyroscope once something does, and
+// how fast one has become since. A vehicle stands before it takes off, and its map begins on the climb, when vision's
+// own accelerations are those of a map a second old and it may climb evenly already.
 #pragma once
 
 #include <array>
+#include <limits>
 
 #include "vo_core/inertial/imu_preintegration.h"
 
 namespace godwit::vo {
 
-/// A vertical along the body's axes at one time: its direction is up + by_bias * b for an accelerometer's bias b.
+/// A vertical along the body's axes at one time: its direction is up + by_bias * b for an accelerometer's bias b. And
+/// the velocity there, which is velocity + velocity_by_bias * b.
 struct KnownVertical {
   bool known = false;
   Vec3 up = Vec3::Zero();         ///< unit vector against gravity, the bias taken for none
   Mat3 by_bias = Mat3::Zero();    ///< [s^2/m]
   double sigma = 0;               ///< of all but the bias [rad, an axis]
   Vec3 gyro_bias = Vec3::Zero();  ///< what the gyroscope read at rest [rad/s]
+  double gyro_bias_sigma = 0;     ///< [rad/s, an axis]
+  /// Since the rest, as far as the body has not turned without what gravity is and whatever the bias is: forces beside
+  /// those that were read at rest.
+  Vec3 velocity = Vec3::Zero();          ///< [m/s]
+  Mat3 velocity_by_bias = Mat3::Zero();  ///< [s]
+  double velocity_sigma = 0;             ///< of all but the bias [m/s, an axis]; 0: the velocity is not known
+  Vec3 force = Vec3::Zero();             ///< what was read at rest, turned along [m/s^2]
+  /// Of that what is beyond gravity is the bias along it: up_at_rest * b, which leaves how fast one climbs known.
+  Vec3 up_at_rest = Vec3::Zero();                       ///< unit vector, along the sensor's axes
+  double beyond_gravity = 0, beyond_gravity_sigma = 0;  ///< [m/s^2]; sigma 0: not known
+  Mat3 R_body_rest = Mat3::Identity();                  ///< from the body's axes at rest
 
   /// Along the axes of a map in which the body is turned like this [m/s^2].
   Vec3 in_map(const Mat3& R_map_body, const Vec3& accel_bias) const {
     return (R_map_body * (up + by_bias * accel_bias)).normalized();
   }
-  /// The same some time later, as far as the turn is what `d` measured.
+  /// The same some time later, as far as turn and force are what `d` measured.
   void go_on(const Preintegration& d);
 };
 
@@ -30,6 +43,10 @@ struct KnownVertical {
 /// one at rest, and its vertical is then found as in flight. One thread; no allocation.
 class RestVertical {
  public:
+  /// How sure one is of a gyroscope's bias that was seen some seconds ago, by a map before or at a rest that no picture
+  /// shows, which may have been an even turn [rad/s].
+  static constexpr double kGyroSigma = 2e-3;
+
   /// gyro_sigma_rad_s: of the gyroscope's bias. Who turns by more than three of it is not at rest.
   RestVertical(const ImuNoise& noise, double gravity_m_s2, double gyro_sigma_rad_s)
       : noise_(noise), gravity_m_s2_(gravity_m_s2), gyro_sigma_rad_s_(gyro_sigma_rad_s) {}
@@ -37,6 +54,10 @@ class RestVertical {
   /// Readings in the order of their times; a gap ends what is known, and so does a turn at the end of the gyroscope's
   /// range. Who is at the end of a range is not at rest.
   void add(const ImuReading& reading);
+  /// A picture's moment, and whether it shows no motion since the first view of a map to be. Only a rest that they show
+  /// as well is one of which the velocity is known: who flies evenly and is not shaken reads the same. And one that is
+  /// shown is kept for some time when another is not: who is pushed evenly reads the same, too.
+  void picture(rt::TimeNs t_ns, bool still);
   /// At a time within the buffer, which holds the same readings.
   KnownVertical at(rt::TimeNs t_ns, const ImuBuffer& buffer) const;
 
@@ -54,6 +75,8 @@ class RestVertical {
   };
   void close_block();
   bool at_rest(Block* mean) const;
+  /// Pictures showed no motion for the length of a rest that ended then.
+  bool shown_as_still(rt::TimeNs end_ns) const;
 
   const ImuNoise noise_;
   const double gravity_m_s2_, gyro_sigma_rad_s_;
@@ -69,6 +92,16 @@ class RestVertical {
   Vec3 force_ = Vec3::Zero(), gyro_bias_ = Vec3::Zero();  ///< what was read at rest
   Mat3 R_rest_body_ = Mat3::Identity();
   rt::TimeNs t_rest_ns_ = 0;
+  // And of the velocity. The last blocks of a rest may be the first of a push that is too small yet to be seen: it
+  // ended before them.
+  static constexpr int kDoubtful = 3;
+  bool velocity_known_ = false;
+  Vec3 stood_force_ = Vec3::Zero();
+  Vec3 velocity_ = Vec3::Zero();  ///< along the body's axes at rest [m/s]
+  Mat3 turns_ = Mat3::Zero();     ///< integral of R_rest_body_ [s]
+  bool shown_ = false;            ///< the pictures showed that rest as well
+  static constexpr rt::TimeNs kNever = std::numeric_limits<rt::TimeNs>::min();
+  rt::TimeNs still_since_ns_ = kNever, still_until_ns_ = kNever;
 };
 
 }  // namespace godwit::vo
