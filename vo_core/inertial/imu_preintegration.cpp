@@ -45,32 +45,34 @@ void Preintegration::add(const Vec3& gyro, const Vec3& accel, double dt_s, const
   // The middle attitude's own derivative by the gyroscope's bias, as a vector right of R_mid.
   const Mat3 mid_dbg = half.transpose() * dR_dbg_ - so3_right_jacobian(0.5 * turn) * (0.5 * dt);
 
-  // Covariance (Forster, 63), with the step's white noise of density n as n / sqrt(dt).
-  const Mat3 to_mid = half.transpose();
-  Mat9 A = Mat9::Identity();
-  A.block<3, 3>(0, 0) = whole.transpose();
-  A.block<3, 3>(3, 0) = -R_force * to_mid * dt;
-  A.block<3, 3>(6, 0) = -R_force * to_mid * dt2;
-  A.block<3, 3>(6, 3) = Mat3::Identity() * dt;
-  Eigen::Matrix<double, 9, 6> B = Eigen::Matrix<double, 9, 6>::Zero();
-  B.block<3, 3>(0, 0) = so3_right_jacobian(turn) * dt;
-  B.block<3, 3>(3, 0) = -R_force * (0.5 * dt) * dt;
-  B.block<3, 3>(3, 3) = R_mid * dt;
-  B.block<3, 3>(6, 3) = R_mid * dt2;
-  Vec6 variance;
-  variance << Vec3::Constant(noise.gyro * noise.gyro / dt), Vec3::Constant(noise.accel * noise.accel / dt);
-  variance += more;
-  // lazyProduct: from nine rows on Eigen's operator* calls its blocked product, which allocates.
-  const Mat9 carried = A.lazyProduct(covariance_);
-  covariance_ = carried.lazyProduct(A.transpose());
-  const Eigen::Matrix<double, 9, 6> weighted = B * variance.asDiagonal();
-  covariance_ += weighted.lazyProduct(B.transpose());
+  // Covariance (Forster, 63): A C A^T with A = [W 0 0; V 1 0; P dt 1], by its blocks.
+  const Mat3 W = whole.transpose(), V = -R_force * half.transpose() * dt, P = 0.5 * dt * V;
+  Eigen::Matrix<double, 9, 9> C;
+  C.topRows<3>() = W * covariance_.topRows<3>();
+  C.middleRows<3>(3) = V * covariance_.topRows<3>() + covariance_.middleRows<3>(3);
+  C.bottomRows<3>() = P * covariance_.topRows<3>() + dt * covariance_.middleRows<3>(3) + covariance_.bottomRows<3>();
+  covariance_.leftCols<3>() = C.leftCols<3>() * W.transpose();
+  covariance_.middleCols<3>(3) = C.leftCols<3>() * V.transpose() + C.middleCols<3>(3);
+  covariance_.rightCols<3>() = C.leftCols<3>() * P.transpose() + dt * C.middleCols<3>(3) + C.rightCols<3>();
+  // The step's white noise of density n is n / sqrt(dt); what a turn's makes of the way is left out.
+  const Vec3 gyro2 = Vec3::Constant(noise.gyro * noise.gyro / dt) + more.head<3>();
+  const Vec3 accel2 = Vec3::Constant(noise.accel * noise.accel / dt) + more.tail<3>();
+  const Mat3 turned = so3_right_jacobian(turn) * dt, sped = -R_force * (0.5 * dt) * dt;
+  const Mat3 turned2 = turned * gyro2.asDiagonal(), pushed2 = R_mid * accel2.asDiagonal() * R_mid.transpose();
+  const Mat3 both = turned2 * sped.transpose();
+  covariance_.block<3, 3>(0, 0) += turned2 * turned.transpose();
+  covariance_.block<3, 3>(0, 3) += both;
+  covariance_.block<3, 3>(3, 0) += both.transpose();
+  covariance_.block<3, 3>(3, 3) += sped * gyro2.asDiagonal() * sped.transpose() + dt * dt * pushed2;
+  covariance_.block<3, 3>(3, 6) += dt * dt2 * pushed2;
+  covariance_.block<3, 3>(6, 3) += dt * dt2 * pushed2;
+  covariance_.block<3, 3>(6, 6) += dt2 * dt2 * pushed2;
 
   dp_dba_ += dv_dba_ * dt - R_mid * dt2;
   dp_dbg_ += dv_dbg_ * dt - R_force * mid_dbg * dt2;
   dv_dba_ -= R_mid * dt;
   dv_dbg_ -= R_force * mid_dbg * dt;
-  dR_dbg_ = whole.transpose() * dR_dbg_ - so3_right_jacobian(turn) * dt;
+  dR_dbg_ = W * dR_dbg_ - turned;
 
   dp_ += dv_ * dt + R_mid * force * dt2;
   dv_ += R_mid * force * dt;

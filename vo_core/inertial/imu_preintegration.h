@@ -116,6 +116,9 @@ class ImuBuffer {
   /// the gyroscope's bias is nothing. False, and nothing is changed: the readings leave out some of it, or saturate.
   bool row_turns(rt::TimeNs t_before_ns, rt::TimeNs t_ns, rt::TimeNs span_ns, std::span<Vec3> turns,
                  std::span<Vec3> rates) const;
+  /// What was turned from t0_ns to t1_ns >= t0_ns, to first order, the bias in it; readings are held where they end
+  /// [rad]. Not empty.
+  Vec3 turned(rt::TimeNs t0_ns, rt::TimeNs t1_ns) const;
   /// How far a time told is off a sensor's even pace, one sigma [s]: by the steps of the last tenth of a second or so,
   /// those that leave readings out aside. 0 with fewer than ten.
   double time_scatter_s() const;
@@ -135,8 +138,6 @@ class ImuBuffer {
   static Vec6 unmeasured(const Kept& a, const Kept& b, rt::TimeNs from_ns, rt::TimeNs to_ns);
   /// Between readings by a straight line, beyond them the nearest. Not empty.
   Vec3 rate_at(rt::TimeNs t_ns) const;
-  /// What was turned from t0_ns to t1_ns >= t0_ns, to first order [rad]. Not empty.
-  Vec3 turned(rt::TimeNs t0_ns, rt::TimeNs t1_ns) const;
   /// The last reading at or before t_ns, or the oldest. Not empty.
   std::size_t at_or_before(rt::TimeNs t_ns) const;
   std::array<Kept, kReadings> readings_;

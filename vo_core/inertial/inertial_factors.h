@@ -145,7 +145,7 @@ double course_kept(const VisionSight& at_i, const VisionSight& at_j, double dt_s
 /// Rows of the residual between two moments: inertial (turn, speed, way), slow parts, change of vision's error.
 constexpr int kPairRows = 9 + 16 + 6;
 using PairResidual = Eigen::Matrix<double, kPairRows, 1>;
-using PairJacobian = Eigen::Matrix<double, kPairRows, InertialState::kSize>;
+using PairJacobian = Eigen::Matrix<double, kPairRows, InertialState::kSize, Eigen::RowMajor>;
 
 /// The residual between i and the later j (Forster, 45, with the lever of the camera and vision's scale), and its
 /// Jacobians by the errors of both; unweighted. No allocation.

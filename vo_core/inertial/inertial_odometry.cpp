@@ -59,11 +59,9 @@ VisionSight InertialOdometry::sight_of(const VisualPose& pose, rt::TimeNs t_ns) 
   sight.rotation_rate = stray_.rotation_rate();
   sight.position_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().head<3>().mean()));
   sight.rotation_in_map = std::sqrt(std::max(0.0, pose.covariance.diagonal().tail<3>().mean()));
-  // The rate over 10 ms around the frame.
-  Preintegration around;
+  // The mean rate over 10 ms around the frame.
   const rt::TimeNs half_ns = std::max(5 * rt::kNsPerMs, options_.readout_ns / 2);
-  buffer_.integrate(t_ns - half_ns, t_ns + half_ns, options_.model.imu, &around);
-  if (around.dt_s() > 0) sight.gyro_rad_s = so3_log(around.dR(Vec3::Zero())) / around.dt_s();
+  sight.gyro_rad_s = buffer_.turned(t_ns - half_ns, t_ns + half_ns) / rt::to_seconds(2 * half_ns);
   if (options_.readout_ns > 0) {
     const Vec3 mean_turn = buffer_.mean_turn(t_ns, options_.readout_ns);
     see_rolling(pose, smoother_.mounting().R_body_cam, mean_turn, options_.model, &sight);

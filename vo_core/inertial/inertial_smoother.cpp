@@ -6,52 +6,90 @@
 namespace godwit::vo {
 
 using S = InertialState;
-using Matrix = InertialSmoother::Matrix;
 
 namespace {
 
-using Rows = Eigen::Matrix<double, S::kSize, S::kSize, Eigen::RowMajor>;
+// The normal equations of a moment lie in a block beside their right-hand side, in rows of whole registers. What is
+// done with blocks is written out, a row at a time that stays in registers: for this size Eigen's own products take
+// their blocked way, which may allocate, and its lazy ones take several times as long.
+constexpr int kColumns = InertialSmoother::kColumns, kRhs = S::kSize;
+static_assert(kColumns % 4 == 0);
+using Block = InertialSmoother::Block;
+template <int N>
+using Rows = Eigen::Matrix<double, N, kColumns, Eigen::RowMajor>;
+using Row = Rows<1>;
 
-/// Cholesky's factor of one block. Written out, and products below are lazy ones: for this size Eigen's own take their
-/// blocked way, which may allocate.
-class Factor {
- public:
-  explicit Factor(const Matrix& H) : L_(H) {
-    for (int j = 0; j < S::kSize; ++j) {
-      for (int k = 0; k < j; ++k) {
-        const double x = L_(j, k);
-        for (int i = j; i < S::kSize; ++i) L_(i, j) -= x * L_(i, k);
-      }
-      ok_ = ok_ && L_(j, j) > 0;
-      const double root = std::sqrt(L_(j, j));
-      for (int i = j; i < S::kSize; ++i) L_(i, j) /= root;
-    }
-  }
-  /// False: the block was not positive.
-  bool ok() const { return ok_; }
-  /// H^-1 times *X, in place.
-  template <typename Block>
-  void solve(Block* X) const {
-    for (int j = 0; j < S::kSize; ++j) {
-      X->row(j) /= L_(j, j);
-      for (int i = j + 1; i < S::kSize; ++i) X->row(i) -= L_(i, j) * X->row(j);
-    }
-    for (int j = S::kSize - 1; j >= 0; --j) {
-      X->row(j) /= L_(j, j);
-      for (int i = 0; i < j; ++i) X->row(i) -= L_(j, i) * X->row(j);
-    }
-  }
+/// row + sign * the sum of rows first to last - 1 of `rows`, each times its weight. Weights are often zero.
+template <int N, typename Weights>
+Row plus_rows(Row row, double sign, const Weights& weights, const Rows<N>& rows, int first, int last) {
+  for (int i = first; i < last; ++i)
+    if (weights(i) != 0) row += sign * weights(i) * rows.row(i);
+  return row;
+}
 
- private:
-  Matrix L_;
-  bool ok_ = true;
-};
+/// out += sign A^T B, of which A's last column is none.
+template <int N>
+void add_product(const Rows<N>& A, const Rows<N>& B, double sign, Block* out) {
+  for (int i = 0; i < S::kSize; ++i) out->row(i) = plus_rows(out->row(i), sign, A.col(i), B, 0, N);
+}
+
+/// A Jacobian beside its residual, as it goes into the normal equations.
+template <int N, typename Jacobian, typename Residual>
+Rows<N> with_rhs(const Jacobian& J, const Residual& r) {
+  Rows<N> out;
+  out.template leftCols<S::kSize>() = J;
+  out.col(kRhs) = -r;
+  return out;
+}
+
+/// Cholesky's U of H = U^T U in the upper half of its place, and U^-T b in that of b. False: H is not positive.
+/// inverse: of U's diagonal.
+bool factorise(Block* H, S::Error* inverse) {
+  for (int k = 0; k < S::kSize; ++k) {
+    const Row row = plus_rows(H->row(k), -1, H->col(k), *H, 0, k);
+    if (!(row(k) > 0)) return false;
+    (*inverse)(k) = 1 / std::sqrt(row(k));
+    H->row(k) = (*inverse)(k)*row;
+  }
+  return true;
+}
+
+/// U^-T X in place of X.
+void forward(const Block& U, const S::Error& inverse, Block* X) {
+  for (int k = 0; k < S::kSize; ++k) X->row(k) = inverse(k) * plus_rows(X->row(k), -1, U.col(k), *X, 0, k);
+}
+
+/// U^-1 X in place of X.
+void back(const Block& U, const S::Error& inverse, Block* X) {
+  for (int k = S::kSize - 1; k >= 0; --k)
+    X->row(k) = inverse(k) * plus_rows(X->row(k), -1, U.row(k), *X, k + 1, S::kSize);
+}
+
+/// U^-1 x
+S::Error back(const Block& U, const S::Error& inverse, S::Error x) {
+  for (int k = S::kSize - 1; k >= 0; --k) {
+    for (int i = k + 1; i < S::kSize; ++i) x(k) -= U(k, i) * x(i);
+    x(k) *= inverse(k);
+  }
+  return x;
+}
+
+/// Takes a moment into the one after it. H: its block; H_next: that with the one after, which becomes U^-T H_next
+/// beside U^-T b; H_after: the block of that one. False: H is not positive.
+bool eliminate(Block* H, S::Error* inverse, Block* H_next, Block* H_after) {
+  H->diagonal().array() += 1e-9;  // what nothing ties yet
+  if (!factorise(H, inverse)) return false;
+  forward(*H, *inverse, H_next);
+  H_next->col(kRhs) = H->col(kRhs);
+  add_product(*H_next, *H_next, -1, H_after);
+  return true;
+}
 
 }  // namespace
 
 struct InertialSmoother::Work {
-  std::array<Matrix, kNodes> H, H_next;  // blocks on the diagonal, and of each moment with the next
-  std::array<S::Error, kNodes> b, dx;
+  std::array<Block, kNodes> H, H_next;  // blocks on the diagonal, and of each moment with the next
+  std::array<S::Error, kNodes> inverse, dx;
   std::array<InertialState, kNodes> before;
 };
 
@@ -134,7 +172,7 @@ void InertialSmoother::add(const InertialNode& node) {
   states_[at(count_ - 1)] = x;
 }
 
-double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
+double InertialSmoother::add_sight(int i, Block* H) const {
   SightJacobian J;
   Vec6 r = sight_residual(state(i), node(i).sight, mounting_, &J);
   const VisionSight& sight = node(i).sight;
@@ -144,51 +182,47 @@ double InertialSmoother::add_sight(int i, Matrix* H, S::Error* b) const {
   J.topRows<3>() /= rotation_sigma;
   r.tail<3>() /= position_sigma;
   J.bottomRows<3>() /= position_sigma;
-  H->noalias() += J.transpose().lazyProduct(J);
-  b->noalias() -= J.transpose().lazyProduct(r);
+  const Rows<6> rows = with_rhs<6>(J, r);
+  add_product(rows, rows, 1, H);
   if (!sight.shakes()) {
     H->diagonal().segment<6>(S::kPicture).array() += 1;  // nothing asks for it, and it stays zero
     return r.squaredNorm();
   }
   const Vec6 own = sight.own_information * state(i).picture;
   H->block<6, 6>(S::kPicture, S::kPicture) += sight.own_information;
-  b->segment<6>(S::kPicture) -= own;
+  H->col(kRhs).segment<6>(S::kPicture) -= own;
   return r.squaredNorm() + state(i).picture.dot(own);
 }
 
-double InertialSmoother::add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, S::Error* b_i, S::Error* b_j) const {
+double InertialSmoother::add_pair(int i, Block* H_ii, Block* H_ij, Block* H_jj) const {
   PairJacobian J_i, J_j;
   const Preintegration& between = node(i + 1).since_last;
   PairResidual r =
       pair_residual(state(i), state(i + 1), between, node(i).sight, node(i + 1).sight, mounting_, model_, &J_i, &J_j);
   whiten_pair(between, node(i).sight, node(i + 1).sight, model_, &r, &J_i, &J_j);
-  H_ii->noalias() += J_i.transpose().lazyProduct(J_i);
-  H_ij->noalias() = J_i.transpose().lazyProduct(J_j);
-  H_jj->noalias() += J_j.transpose().lazyProduct(J_j);
-  b_i->noalias() -= J_i.transpose().lazyProduct(r);
-  b_j->noalias() -= J_j.transpose().lazyProduct(r);
+  const auto rows_i = with_rhs<kPairRows>(J_i, r), rows_j = with_rhs<kPairRows>(J_j, r);
+  add_product(rows_i, rows_i, 1, H_ii);
+  H_ij->setZero();
+  add_product(rows_i, rows_j, 1, H_ij);
+  add_product(rows_j, rows_j, 1, H_jj);
   return r.squaredNorm();
 }
 
-void InertialSmoother::add_prior(Matrix* H, S::Error* b) const {
-  *H += prior_H_;
-  *b += prior_b_ - prior_H_.lazyProduct(state(0).minus(prior_at_));
+void InertialSmoother::add_prior(Block* H) const {
+  H->leftCols<S::kSize>() += prior_H_;
+  H->col(kRhs) += prior_b_ - prior_H_.lazyProduct(state(0).minus(prior_at_));
 }
 
 void InertialSmoother::drop_oldest() {
-  Matrix H_0 = Matrix::Zero(), H_01, H_1 = Matrix::Zero();
-  S::Error b_0 = S::Error::Zero(), b_1 = S::Error::Zero();
-  add_prior(&H_0, &b_0);
-  add_sight(0, &H_0, &b_0);
-  add_pair(0, &H_0, &H_01, &H_1, &b_0, &b_1);
-  H_0.diagonal().array() += 1e-9;  // what nothing ties yet
-  Rows K = H_01;
-  Factor(H_0).solve(&K);
-  const Matrix K_columns = K;
-  prior_H_ = H_1;
-  prior_H_.noalias() -= H_01.transpose().lazyProduct(K_columns);
-  prior_H_ = (0.5 * (prior_H_ + prior_H_.transpose())).eval();
-  prior_b_ = b_1 - K_columns.transpose().lazyProduct(b_0);
+  Block H_0 = Block::Zero(), H_01, H_1 = Block::Zero();
+  add_prior(&H_0);
+  add_sight(0, &H_0);
+  add_pair(0, &H_0, &H_01, &H_1);
+  S::Error inverse;
+  // Where it is not positive nothing of it goes on.
+  eliminate(&H_0, &inverse, &H_01, &H_1);
+  prior_H_ = H_1.leftCols<S::kSize>().selfadjointView<Eigen::Upper>();  // to the bit
+  prior_b_ = H_1.col(kRhs);
   prior_at_ = state(1);
   first_ = (first_ + 1) % kNodes;
   --count_;
@@ -205,44 +239,32 @@ InertialSmoother::Report InertialSmoother::solve(int max_iterations) {
     return report;
   };
   for (report.iterations = 0; report.iterations < max_iterations; ++report.iterations) {
-    for (int i = 0; i < count_; ++i) {
-      w.H[i].setZero();
-      w.b[i].setZero();
-    }
-    add_prior(&w.H[0], &w.b[0]);
+    for (int i = 0; i < count_; ++i) w.H[i].setZero();
+    add_prior(&w.H[0]);
     report.chi2 = 0;
     for (int i = 0; i < count_; ++i) {
-      report.chi2 += add_sight(i, &w.H[i], &w.b[i]);
-      if (i + 1 < count_) report.chi2 += add_pair(i, &w.H[i], &w.H_next[i], &w.H[i + 1], &w.b[i], &w.b[i + 1]);
+      report.chi2 += add_sight(i, &w.H[i]);
+      if (i + 1 < count_) report.chi2 += add_pair(i, &w.H[i], &w.H_next[i], &w.H[i + 1]);
     }
     const int last_node = count_ - 1;
-    w.H[last_node](S::kScale, S::kScale) += hint_weight_;
-    w.b[last_node](S::kScale) += hint_weight_ * (hint_ - newest().log_scale);
+    Block& H_last = w.H[last_node];
+    H_last(S::kScale, S::kScale) += hint_weight_;
+    H_last(S::kScale, kRhs) += hint_weight_ * (hint_ - newest().log_scale);
     // A picture's own error is a residual and an unknown.
     report.rows = 6 * count_ + kPairRows * (count_ - 1) - S::kPicture * count_;
-    // Elimination from the oldest; H[k] then holds the moment's block with all before it taken in.
-    for (int k = 0; k < count_; ++k) {
-      w.H[k].diagonal().array() += 1e-9;
-      const Factor factor(w.H[k]);
-      if (!factor.ok()) return give_up();
-      w.dx[k] = w.b[k];
-      factor.solve(&w.dx[k]);
-      if (k + 1 == count_) {
-        Rows inverse = Rows::Identity();
-        factor.solve(&inverse);
-        covariance_ = inverse;
-        break;
-      }
-      Rows K = w.H_next[k];
-      factor.solve(&K);
-      const Matrix K_columns = K;
-      w.H[k + 1].noalias() -= w.H_next[k].transpose().lazyProduct(K_columns);
-      w.b[k + 1].noalias() -= K_columns.transpose().lazyProduct(w.b[k]);
-      w.H_next[k] = K;
-    }
-    for (int i = count_ - 2; i >= 0; --i) {
-      w.dx[i].noalias() -= w.H_next[i].lazyProduct(w.dx[i + 1]);
-    }
+    // From the oldest; H[k] then holds what is left of the moment's block with all before it taken in.
+    for (int k = 0; k < last_node; ++k)
+      if (!eliminate(&w.H[k], &w.inverse[k], &w.H_next[k], &w.H[k + 1])) return give_up();
+    H_last.diagonal().array() += 1e-9;
+    if (!factorise(&H_last, &w.inverse[last_node])) return give_up();
+    Block covariance = Block::Identity();
+    forward(H_last, w.inverse[last_node], &covariance);
+    back(H_last, w.inverse[last_node], &covariance);
+    covariance_ = covariance.leftCols<S::kSize>();
+    w.dx[last_node] = back(H_last, w.inverse[last_node], H_last.col(kRhs));
+    for (int k = last_node - 1; k >= 0; --k)
+      w.dx[k] =
+          back(w.H[k], w.inverse[k], w.H_next[k].col(kRhs) - w.H_next[k].leftCols<S::kSize>().lazyProduct(w.dx[k + 1]));
     const S::Error& last = w.dx[count_ - 1];
     if (!last.allFinite() || !w.dx[0].allFinite()) return give_up();
     for (int i = 0; i < count_; ++i) state(i) = state(i).plus(w.dx[i]);

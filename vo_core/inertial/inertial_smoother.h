@@ -37,6 +37,9 @@ class InertialSmoother {
  public:
   static constexpr int kNodes = 48;
   using Matrix = Eigen::Matrix<double, InertialState::kSize, InertialState::kSize>;
+  /// Of the normal equations: a moment's square block and, in the last column, its right-hand side.
+  static constexpr int kColumns = InertialState::kSize + 1;
+  using Block = Eigen::Matrix<double, InertialState::kSize, kColumns, Eigen::RowMajor>;
 
   explicit InertialSmoother(const CameraMounting& mounting, const InertialModel& model = {});
   ~InertialSmoother();
@@ -92,10 +95,9 @@ class InertialSmoother {
   struct Work;
   std::size_t at(int i) const { return (first_ + i) % kNodes; }
   /// Adds what vision saw at moment i, absolutely, to its block; returns the squared residual.
-  double add_sight(int i, Matrix* H, InertialState::Error* b) const;
-  double add_pair(int i, Matrix* H_ii, Matrix* H_ij, Matrix* H_jj, InertialState::Error* b_i,
-                  InertialState::Error* b_j) const;
-  void add_prior(Matrix* H, InertialState::Error* b) const;
+  double add_sight(int i, Block* H) const;
+  double add_pair(int i, Block* H_ii, Block* H_ij, Block* H_jj) const;
+  void add_prior(Block* H) const;
 
   const CameraMounting mounting_;
   const InertialModel model_;
