@@ -127,6 +127,15 @@ TEST(RestVertical, KnowsHowFastOneHasBecomeSince) {
   EXPECT_GT(nees / 20, 0.01);
 }
 
+TEST(RestVertical, OfATimeWithinTheRestNobodyMoves) {
+  Sensor s(3);
+  s.bias_.accel = Vec3(0.3, -0.2, 0.25);
+  s.stand(3);
+  const KnownVertical v = s.rest_.at(s.t_ns_ - 600 * rt::kNsPerMs, s.buffer_);
+  ASSERT_GT(v.velocity_sigma, 0);
+  EXPECT_LT((v.velocity + v.velocity_by_bias * s.bias_.accel).norm(), 4 * v.velocity_sigma);
+}
+
 TEST(RestVertical, OnlyOfARestThatPicturesShowIsTheVelocityKnown) {
   Sensor even(7);
   even.v_world_ = Vec3(5, 0, 0);

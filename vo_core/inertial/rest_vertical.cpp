@@ -146,8 +146,9 @@ KnownVertical RestVertical::at(rt::TimeNs t_ns, const ImuBuffer& buffer) const {
                         turn * turn);
   if (!velocity_known_ || !shown_) return out;
   out.gyro_bias_sigma = 2 * std::sqrt(noise_.gyro * noise_.gyro / kRestS + noise_.gyro_walk * noise_.gyro_walk * t);
-  const double since_s = t + kDoubtful * rt::to_seconds(kBlockNs),
-               stood_s = kRestS - kDoubtful * rt::to_seconds(kBlockNs);
+  // Since the doubtful end of the rest began; before that it stood.
+  const double doubtful_s = kDoubtful * rt::to_seconds(kBlockNs), stood_s = kRestS - doubtful_s;
+  const double since_s = rt::to_seconds(t_ns - t_rest_ns_) + doubtful_s, moved_s = std::max(0.0, since_s);
   const double step_s = rt::to_seconds(t_ns - last_.t_ns);
   const Vec3 gained = since.dv(ImuBias{gyro_bias_, Vec3::Zero()});
   const bool later = t_ns > last_.t_ns;
@@ -165,7 +166,7 @@ KnownVertical RestVertical::at(rt::TimeNs t_ns, const ImuBuffer& buffer) const {
   out.R_body_rest = back;
   // White forces and the mean that is taken off them; what the gyroscope's noise, its mean's and its scale lean them
   // by; the accelerometer's scale.
-  const double white = noise_.accel * noise_.accel * (since_s + since_s * since_s / stood_s);
+  const double white = noise_.accel * noise_.accel * (moved_s + moved_s * moved_s / stood_s);
   const double leant = std::pow(strength * noise_.gyro, 2) * (std::pow(t, 3) / 3 + std::pow(t, 4) / (4 * kRestS));
   out.velocity_sigma = std::sqrt(4 * (white + leant) + std::pow(0.5 * strength * turn * t, 2) +
                                  std::pow(kVelocityShare * velocity.norm(), 2) + kUnseenPush * kUnseenPush);
