@@ -126,8 +126,12 @@ class InertialOdometry : public MetricMap {
   double course_sigma(std::span<const InertialNode> window) const;
   /// The vertical of its first moment is known from a rest before it.
   bool stood() const { return first_vertical_.known && first_vertical_.sigma < options_.begin_up_sigma; }
-  /// And how fast one has become since.
-  bool gone_since_rest() const { return stood() && first_vertical_.velocity_sigma > 0; }
+  /// And how fast one has become since, well enough to tell the scale by: after a minute of shaking on the ground it is
+  /// not.
+  bool gone_since_rest() const {
+    const double sigma = first_vertical_.velocity_sigma;
+    return stood() && sigma > 0 && sigma < options_.begin_scale_sigma * first_vertical_.velocity.norm();
+  }
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);
   /// Whether the map became metric with it.
   bool try_to_begin(const VisualPose& pose);
