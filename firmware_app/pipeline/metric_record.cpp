@@ -32,7 +32,7 @@ vo::VisualPose visual_pose(const vo::FrameResult& result, rt::TimeNs t_capture_n
   vo::VisualPose seen;
   seen.t_ns = t_ns;
   seen.tracked = result.tracked && finite(result);
-  seen.still = !seen.tracked && result.init.status == vo::InitStatus::kNoMotion;
+  if (!seen.tracked && result.init.status == vo::InitStatus::kNoMotion) seen.still_rad = result.init.still_rad;
   seen.map_id = result.map_id;
   seen.T_map_cam = result.T_world_cam;
   seen.covariance = result.covariance;

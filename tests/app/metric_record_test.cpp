@@ -10,15 +10,16 @@ namespace {
 TEST(MetricRecord, OnlyPicturesBeforeAMapThatMovedByNothingAreStill) {
   vo::FrameResult result;
   result.init.status = vo::InitStatus::kNoMotion;
-  EXPECT_TRUE(visual_pose(result, 0, 0).still);
+  result.init.still_rad = 1e-3;
+  EXPECT_EQ(visual_pose(result, 0, 0).still_rad, 1e-3);
   for (const auto other : {vo::InitStatus::kFirstFrame, vo::InitStatus::kTracksLost, vo::InitStatus::kNoParallax,
                            vo::InitStatus::kTwoMotions, vo::InitStatus::kDone}) {
     result.init.status = other;
-    EXPECT_FALSE(visual_pose(result, 0, 0).still);
+    EXPECT_EQ(visual_pose(result, 0, 0).still_rad, 0);
   }
   result.init.status = vo::InitStatus::kNoMotion;
   result.tracked = true;
-  EXPECT_FALSE(visual_pose(result, 0, 0).still) << "it has a pose: what the first view says is of long ago";
+  EXPECT_EQ(visual_pose(result, 0, 0).still_rad, 0) << "it has a pose: what the first view says is of long ago";
 }
 
 TEST(MetricRecord, APoseWithANumberThatIsNoneIsNotTracked) {

@@ -41,7 +41,7 @@ class Flown {
     VisualPose pose;
     pose.t_ns = seen.t_ns + late_ns_;
     pose.tracked = tracked_;
-    pose.still = still_;
+    if (still_) pose.still_rad = 1e-3;
     pose.map_id = map_id_;
     pose.T_map_cam = {seen.sight.R_map_cam, seen.sight.camera};
     pose.covariance = 1e-9 * Mat6::Identity();

@@ -53,10 +53,11 @@ bool InertialOdometry::try_to_begin(const VisualPose& pose) {
   bias.gyro = stood() ? first_vertical_.gyro_bias
                       : align_gyro_bias(window, smoother_.mounting(), bias, prior_.gyro_bias_sigma, 2e-4);
   const ScaleHint others = hint();
-  const bool gone = gone_since_rest();
+  const Alignment by_rest = stood() ? align_by_rest(window, bias) : Alignment{};
+  if (by_rest.ok) first_vertical_.depth_m = std::exp(by_rest.log_scale) * window.front().sight.depth;
+  const bool gone = by_rest.ok && gone_since_rest();
   const Alignment found =
-      gone ? align_by_rest(window, bias)
-           : align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
+      gone ? by_rest : align(window, smoother_.mounting(), bias, options_.model.gravity_m_s2, options_.method, others);
   if (!found.ok) return refuse("no scale fits", 0, 0);
   // The moments anew, each from the one before by what the alignment found.
   smoother_.clear();

@@ -10,6 +10,13 @@ namespace godwit::vo {
 
 using S = InertialState;
 
+namespace {
+
+/// How sure one is of a gyroscope's bias that a map before saw some seconds ago [rad/s].
+constexpr double kKeptGyroSigma = 2e-3;
+
+}  // namespace
+
 InertialOdometry::InertialOdometry(const CameraMounting& mounting, const InertialOdometryOptions& options)
     : MetricMap(options.stray_as_seen()),
       options_(options),
@@ -120,7 +127,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
     const auto sigma = [&](int i, int n, double floor) {
       return std::max(floor, 2 * std::sqrt(smoother_.covariance().diagonal().segment(i, n).maxCoeff()));
     };
-    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, RestVertical::kGyroSigma));
+    prior_.gyro_bias_sigma = std::min(prior_.gyro_bias_sigma, sigma(S::kGyroBias, 3, kKeptGyroSigma));
     prior_.accel_bias_sigma = std::min(prior_.accel_bias_sigma, sigma(S::kAccelBias, 3, 3e-2));
     begin_accel_sigma_ = std::min(begin_accel_sigma_, sigma(S::kAccelBias, 3, 3e-2));
     // Screwed on, and not turned by a map that was lost: a young map would take its own errors for it.
@@ -134,6 +141,7 @@ void InertialOdometry::begin_window(const VisualPose& pose) {
   prior_kept_ = true;
   attempt_up_.setZero();
   smoother_.clear();
+  t_bridge_ns_ = 0;
   map_id_ = pose.map_id;
   InertialNode node;
   node.t_ns = measured_moment_of(pose);
@@ -187,7 +195,7 @@ void InertialOdometry::stray_on() {
 
 MetricPose InertialOdometry::frame(const VisualPose& pose) {
   contradicted_ = false;
-  rest_.picture(moment_of(pose), !pose.tracked && pose.still);
+  rest_.picture(moment_of(pose), pose.tracked ? 0 : pose.still_rad);
   if (!pose.tracked || buffer_.empty()) return {};
   stray_.judge(pose);
   if (pose.map_moved && pose.map_id == map_id_)
@@ -195,7 +203,10 @@ MetricPose InertialOdometry::frame(const VisualPose& pose) {
   last_seen_camera_ = pose.T_map_cam.t;
   t_last_seen_ns_ = pose.t_ns;
   hear_aids(pose);
-  if (smoother_.size() == 0 || pose.map_id != map_id_) {
+  // Or where a clock was set back: the window would wait for its time to come again.
+  if (smoother_.size() == 0 || pose.map_id != map_id_ || pose.t_ns < before_.t_ns) {
+    before_ = pose;
+    before_.points = {};
     begin_window(pose);
     return {};
   }

@@ -129,7 +129,7 @@ class InertialOdometry : public MetricMap {
   /// And how fast one has become since, well enough to tell the scale by: after a minute of shaking on the ground it is
   /// not.
   bool gone_since_rest() const {
-    const double sigma = first_vertical_.velocity_sigma;
+    const double sigma = first_vertical_.whole_velocity_sigma();
     return stood() && sigma > 0 && sigma < options_.begin_scale_sigma * first_vertical_.velocity.norm();
   }
   bool add_node(const VisualPose& pose, rt::TimeNs after_ns);

@@ -136,15 +136,16 @@ void InertialSmoother::add_vertical(const KnownVertical& vertical) {
   J.block<3, 3>(0, S::kAccelBias) = -vertical.by_bias;
   J /= vertical.sigma;
   count(J, Vec3((up_body - vertical.up - vertical.by_bias * x.bias.accel) / vertical.sigma));
-  if (!(vertical.velocity_sigma > 0)) return;
+  const double velocity_sigma = vertical.whole_velocity_sigma();
+  if (!(velocity_sigma > 0)) return;
   // The same of the velocity, by rotation, velocity and bias.
   const Vec3 v_body = x.R_map_body.transpose() * x.velocity;
   J.setZero();
   J.block<3, 3>(0, S::kRotation) = skew(v_body);
   J.block<3, 3>(0, S::kVelocity) = x.R_map_body.transpose();
   J.block<3, 3>(0, S::kAccelBias) = -vertical.velocity_by_bias;
-  J /= vertical.velocity_sigma;
-  count(J, Vec3((v_body - vertical.velocity - vertical.velocity_by_bias * x.bias.accel) / vertical.velocity_sigma));
+  J /= velocity_sigma;
+  count(J, Vec3((v_body - vertical.velocity - vertical.velocity_by_bias * x.bias.accel) / velocity_sigma));
   // And of the bias along gravity.
   const double weight = 1 / vertical.beyond_gravity_sigma;
   Eigen::Matrix<double, 1, S::kSize> along = Eigen::Matrix<double, 1, S::kSize>::Zero();
@@ -219,8 +220,8 @@ void InertialSmoother::drop_oldest() {
   add_sight(0, &H_0);
   add_pair(0, &H_0, &H_01, &H_1);
   S::Error inverse;
-  // Where it is not positive nothing of it goes on.
-  eliminate(&H_0, &inverse, &H_01, &H_1);
+  // Where it is not positive nothing of it goes on: the rest would be held to it as if it were known.
+  if (!eliminate(&H_0, &inverse, &H_01, &H_1)) H_1.setZero();
   prior_H_ = H_1.leftCols<S::kSize>().selfadjointView<Eigen::Upper>();  // to the bit
   prior_b_ = H_1.col(kRhs);
   prior_at_ = state(1);

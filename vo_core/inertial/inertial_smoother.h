@@ -46,8 +46,8 @@ class InertialSmoother {
 
   /// Forgets all moments.
   void clear();
-  /// A later moment. Its state is what the inertial sensor makes of the one before, or, for the first or with
-  /// from_vision, what vision saw, standing still. The oldest makes room where the window is full.
+  /// A later moment. Attitude and place of its state are what vision saw, velocity what the inertial sensor makes of
+  /// the moment before; the first stands still. The oldest makes room where the window is full.
   void add(const InertialNode& node);
   /// The oldest moment leaves; what it knew stays as a prior of the next. At least two moments.
   void drop_oldest();

@@ -17,7 +17,9 @@ namespace godwit::vo {
 struct VisualPose : MapPose {
   rt::TimeNs t_ns = 0;
   bool tracked = false;
-  bool still = false;  ///< there is no map yet, and the pictures since the first view show no motion
+  /// There is no map yet, and the pictures since the first view have moved by this at most; 0: they move, or nobody
+  /// knows.
+  double still_rad = 0;
   std::uint32_t map_id = 0;
   Mat6 relative_covariance = Mat6::Zero();  ///< as covariance, of the pose relative to a keyframe of the map
   rt::TimeNs relative_age_ns = 0;           ///< that is so much older; 0: there is none

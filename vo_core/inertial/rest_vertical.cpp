@@ -12,9 +12,6 @@ constexpr double kRestS = 1.0;  ///< that a rest was averaged over
 constexpr double kVelocityShare = 0.02, kUnseenPush = 0.02, kUnseenForce = 0.02;
 /// Of the last of a rest its pictures may be still to come.
 constexpr rt::TimeNs kUnseenNs = 300 * rt::kNsPerMs;
-/// As long one that the pictures showed is not given up for one that they don't: after it, the velocity since is known
-/// to half a metre a second (what an MPU-6000 turns and leans by, below).
-constexpr rt::TimeNs kKeptNs = 10 * rt::kNsPerSecond;
 
 }  // namespace
 
@@ -31,6 +28,9 @@ void KnownVertical::go_on(const Preintegration& d) {
   }
   up = back * up;
   by_bias = back * by_bias;
+  // White turns; what the bias is off by and how crooked the gyroscope is, which stay.
+  sigma = std::sqrt(sigma * sigma + 4 / 3.0 * d.covariance().topLeftCorner<3, 3>().trace()) +
+          gyro_bias_sigma * d.dt_s() + RestVertical::kTurnShare * so3_log(back).norm();
 }
 
 void RestVertical::add(const ImuReading& reading) {
@@ -67,12 +67,13 @@ void RestVertical::close_block() {
   sum_ = {};
   readings_ = 0;
   t_block_ns_ = last_.t_ns;
+  if (known_)
+    turned_rad_ += rt::to_seconds(kBlockNs) * (blocks_[(block_next_ + kBlocks - 1) % kBlocks].gyro - gyro_bias_).norm();
   Block mean;
-  if (!at_rest(&mean)) return;
-  const bool shown = shown_as_still(last_.t_ns);
-  if (known_ && shown_ && !shown && last_.t_ns - t_rest_ns_ < kKeptNs) return;
+  if (!at_rest(&mean) || !shown_as_still(last_.t_ns)) return;
   known_ = true;
-  shown_ = shown;
+  turned_rad_ = 0;
+  drift_rad_s_ = still_rad_ / std::max(kRestS / 2, rt::to_seconds(still_until_ns_ - still_since_ns_));
   force_ = mean.accel;
   gyro_bias_ = mean.gyro;
   R_rest_body_.setIdentity();
@@ -87,14 +88,14 @@ void RestVertical::close_block() {
   turns_ = kDoubtful * block_s * Mat3::Identity();
 }
 
-void RestVertical::picture(rt::TimeNs t_ns, bool still) {
-  if (!still)
+void RestVertical::picture(rt::TimeNs t_ns, double still_rad) {
+  if (!(still_rad > 0)) {
     still_since_ns_ = kNever;
-  else if (still_since_ns_ == kNever)
-    still_since_ns_ = t_ns;
-  if (!still) return;
+    return;
+  }
+  if (still_since_ns_ == kNever || t_ns < still_until_ns_) still_since_ns_ = t_ns;
   still_until_ns_ = t_ns;
-  shown_ = shown_ || (known_ && shown_as_still(t_rest_ns_));
+  still_rad_ = still_rad;
 }
 
 bool RestVertical::shown_as_still(rt::TimeNs end_ns) const {
@@ -136,16 +137,16 @@ KnownVertical RestVertical::at(rt::TimeNs t_ns, const ImuBuffer& buffer) const {
   out.up = back * up;
   out.by_bias = back * (up * up.transpose() - Mat3::Identity()) / strength;
   out.gyro_bias = gyro_bias_;
-  out.gyro_bias_sigma = kGyroSigma;
   // The means over the rest, white; then what the gyroscope's noise, its mean's, its walk and its scale turned.
   const double t = std::max(0.0, rt::to_seconds(t_ns - t_rest_ns_));
-  const double turn = kTurnShare * so3_log(R_rest_body).norm();
+  const double turn = kTurnShare * std::max(turned_rad_, so3_log(R_rest_body).norm());
   out.sigma = std::sqrt(4 * (noise_.accel * noise_.accel / (kRestS * strength * strength) +
                              noise_.gyro * noise_.gyro * (t + t * t / kRestS) +
                              noise_.gyro_walk * noise_.gyro_walk * t * t * t / 3) +
                         turn * turn);
-  if (!velocity_known_ || !shown_) return out;
   out.gyro_bias_sigma = 2 * std::sqrt(noise_.gyro * noise_.gyro / kRestS + noise_.gyro_walk * noise_.gyro_walk * t);
+  if (!velocity_known_) return out;
+  out.drift_rad_s = drift_rad_s_;
   // Since the doubtful end of the rest began; before that it stood.
   const double doubtful_s = kDoubtful * rt::to_seconds(kBlockNs), stood_s = kRestS - doubtful_s;
   const double since_s = rt::to_seconds(t_ns - t_rest_ns_) + doubtful_s, moved_s = std::max(0.0, since_s);

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <limits>
 
 #include "vo_core/inertial/imu_preintegration.h"
@@ -23,8 +24,12 @@ struct KnownVertical {
   /// those that were read at rest.
   Vec3 velocity = Vec3::Zero();          ///< [m/s]
   Mat3 velocity_by_bias = Mat3::Zero();  ///< [s]
-  double velocity_sigma = 0;             ///< of all but the bias [m/s, an axis]; 0: the velocity is not known
-  Vec3 force = Vec3::Zero();             ///< what was read at rest, turned along [m/s^2]
+  double velocity_sigma = 0;  ///< of all but the bias and the drift [m/s, an axis]; 0: the velocity is not known
+  /// How slowly it may have gone while pictures showed no motion, of what was depth_m away [1/s]. Whoever knows lengths
+  /// says how far that was.
+  double drift_rad_s = 0;
+  double depth_m = 0;
+  Vec3 force = Vec3::Zero();  ///< what was read at rest, turned along [m/s^2]
   /// Of that what is beyond gravity is the bias along it: up_at_rest * b, which leaves how fast one climbs known.
   Vec3 up_at_rest = Vec3::Zero();                       ///< unit vector, along the sensor's axes
   double beyond_gravity = 0, beyond_gravity_sigma = 0;  ///< [m/s^2]; sigma 0: not known
@@ -34,18 +39,21 @@ struct KnownVertical {
   Vec3 in_map(const Mat3& R_map_body, const Vec3& accel_bias) const {
     return (R_map_body * (up + by_bias * accel_bias)).normalized();
   }
+  double whole_velocity_sigma() const {
+    return velocity_sigma > 0 ? std::hypot(velocity_sigma, drift_rad_s * depth_m) : 0;
+  }
   /// The same some time later, as far as turn and force are what `d` measured.
   void go_on(const Preintegration& d);
 };
 
-/// At rest is who measures for a second no more than the sensor's own noise: means over a tenth of it scatter as its
-/// densities say, of forces and of turns. In the air nobody does; a vehicle that shakes on the ground is not taken for
-/// one at rest, and its vertical is then found as in flight. One thread; no allocation.
+/// At rest is who measures for a second no more than the sensor's own noise, twice over, while pictures show no motion:
+/// means over a tenth of it scatter as its densities say, of forces and of turns. A vehicle that shakes on the ground
+/// is not taken for one at rest, and its vertical is then that of the last rest or found as in flight. One thread; no
+/// allocation.
 class RestVertical {
  public:
-  /// How sure one is of a gyroscope's bias that was seen some seconds ago, by a map before or at a rest that no picture
-  /// shows, which may have been an even turn [rad/s].
-  static constexpr double kGyroSigma = 2e-3;
+  /// Of what was turned: how crooked and how wrongly scaled a gyroscope of this kind is (MPU-6000: 2 % and 3 %).
+  static constexpr double kTurnShare = 0.02;
 
   /// gyro_sigma_rad_s: of the gyroscope's bias. Who turns by more than three of it is not at rest.
   RestVertical(const ImuNoise& noise, double gravity_m_s2, double gyro_sigma_rad_s)
@@ -54,10 +62,10 @@ class RestVertical {
   /// Readings in the order of their times; a gap ends what is known, and so does a turn at the end of the gyroscope's
   /// range. Who is at the end of a range is not at rest.
   void add(const ImuReading& reading);
-  /// A picture's moment, and whether it shows no motion since the first view of a map to be. Only a rest that they show
-  /// as well is one of which the velocity is known: who flies evenly and is not shaken reads the same. And one that is
-  /// shown is kept for some time when another is not: who is pushed evenly reads the same, too.
-  void picture(rt::TimeNs t_ns, bool still);
+  /// A picture's moment, and by how much at most it moved since the first view of a map to be [rad]; 0: it moves, or
+  /// nobody knows. Only what pictures show as well is a rest: who is pushed evenly or flies evenly and is not shaken
+  /// reads the same.
+  void picture(rt::TimeNs t_ns, double still_rad);
   /// At a time within the buffer, which holds the same readings.
   KnownVertical at(rt::TimeNs t_ns, const ImuBuffer& buffer) const;
 
@@ -67,9 +75,6 @@ class RestVertical {
   /// Of a scatter of 27 degrees of freedom, as often exceeded by chance as in one of a million blocks; and the noise
   /// may be twice what its file says, as it is here and there (docs/inertial.md).
   static constexpr double kScatter = 3.0 * 4.0;
-  /// Of what was turned: how crooked and how wrongly scaled a gyroscope of this kind is (MPU-6000: 2 % and 3 %).
-  static constexpr double kTurnShare = 0.02;
-
   struct Block {
     Vec3 gyro = Vec3::Zero(), accel = Vec3::Zero();  ///< means
   };
@@ -99,9 +104,11 @@ class RestVertical {
   Vec3 stood_force_ = Vec3::Zero();
   Vec3 velocity_ = Vec3::Zero();  ///< along the body's axes at rest [m/s]
   Mat3 turns_ = Mat3::Zero();     ///< integral of R_rest_body_ [s]
-  bool shown_ = false;            ///< the pictures showed that rest as well
+  double drift_rad_s_ = 0;
+  double turned_rad_ = 0;  ///< there and back, since the rest
   static constexpr rt::TimeNs kNever = std::numeric_limits<rt::TimeNs>::min();
   rt::TimeNs still_since_ns_ = kNever, still_until_ns_ = kNever;
+  double still_rad_ = 0;
 };
 
 }  // namespace godwit::vo

@@ -422,6 +422,8 @@ InitReport Initializer::add_frame(const rt::PyramidView& frame, const rt::MaskPy
   m.tracks.latest().parallax_px = report.parallax_px;
   if (report.median_disparity_px < m.options.min_disparity_px) {
     report.status = InitStatus::kNoMotion;
+    constexpr double kMedianOffPx = 0.25;  // of many tracks, half a pixel each
+    report.still_rad = (report.median_disparity_px + kMedianOffPx) / m.focal();
   } else if (report.parallax_px < m.options.min_parallax_px || m.tracks.frames() < m.options.min_views) {
     report.status = InitStatus::kNoParallax;
   } else if (!decide || (report.parallax_px < m.next_parallax_px && m.tracks.frames() < m.next_frame)) {

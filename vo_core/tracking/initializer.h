@@ -83,6 +83,7 @@ struct InitReport {
   double ambiguity = 0;      ///< robust cost of the best motion over that of the next different one; 0: there is none
   double second_motion = 0;  ///< tracks that follow a motion of their own over those that follow the best one
   double noise_px = 0;       ///< of one coordinate of a track, from the residuals
+  double still_rad = 0;      ///< with kNoMotion: by so much at most the picture moved since the first view
 };
 
 /// All buffers are allocated by the constructor; add_frame does not allocate and is bounded. One thread at a time.
