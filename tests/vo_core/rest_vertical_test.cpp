@@ -6,6 +6,8 @@
 #include <gtest/gtest.h>
 #include <random>
 
+#include "vo_core/inertial/inertial_factors.h"
+
 namespace godwit::vo {
 namespace rest_vertical_test {
 
