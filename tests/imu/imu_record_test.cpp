@@ -66,8 +66,30 @@ TEST(ImuRecord, TimesThatRepeatOrGoBackAreLeftOutAndCounted) {
   ASSERT_TRUE(r.ok());
   EXPECT_EQ(r.value().samples.size(), 2u);
   EXPECT_EQ(r.value().time_repeated, 2u);
-  EXPECT_THAT(r.value().warnings("here"),
-              testing::ElementsAre("here: 2 of 4 inertial readings are no later than the one before: left out"));
+  EXPECT_THAT(
+      r.value().warnings("here"),
+      testing::ElementsAre("here: 2 of 4 inertial readings are no later than the one before: left out; the first is "
+                           "line 2"));
+}
+
+// One wrong stamp, and all that came after it was left out up to that time.
+TEST(ImuRecord, AReadingStampedFarAheadIsTheOneThatIsLeftOut) {
+  for (const int wrong : {0, 3, 7}) {
+    std::string text = "# head\n";
+    for (int i = 0; i < 8; ++i)
+      text += std::to_string(i + (i == wrong ? 100 : 0)) + ".5 " + std::to_string(i) + " 0 0 0 0 9.8\n";
+    const auto r = parse_tum_imu(text, "imu.txt");
+    ASSERT_TRUE(r.ok());
+    // After the last nothing speaks against it.
+    ASSERT_EQ(r.value().samples.size(), wrong < 7 ? 7u : 8u) << wrong;
+    EXPECT_EQ(r.value().time_repeated, 0u) << wrong;
+    if (wrong == 7) continue;
+    EXPECT_EQ(r.value().ahead_line, wrong + 2);
+    EXPECT_THAT(r.value().warnings("here"),
+                testing::ElementsAre("here: 1 inertial readings are stamped more than a second ahead of those around: "
+                                     "left out; the first is line " +
+                                     std::to_string(wrong + 2)));
+  }
 }
 
 TEST(ImuRecord, ReadingsThatNeverChangeAreTold) {

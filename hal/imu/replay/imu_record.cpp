@@ -17,6 +17,7 @@ namespace fs = std::filesystem;
 /// No sensor that flies measures more: who stands beyond has other units, or other columns.
 constexpr double kMostRate = 100;
 constexpr double kMostForce = 1000;
+constexpr rt::TimeNs kAheadNs = rt::kNsPerSecond;
 
 bool read_number(std::string_view text, double most, double* value) {
   const char* const end = text.data() + text.size();
@@ -46,18 +47,31 @@ double rate_of(const std::vector<ImuSample>& samples) {
   return 1e9 / static_cast<double>(*middle);
 }
 
+/// The last of them is stamped far ahead of both its neighbours, of which t_ns is the later one's: of two that
+/// contradict each other it is the one that is wrong.
+bool last_is_ahead(const std::vector<ImuSample>& samples, rt::TimeNs t_ns) {
+  if (samples.empty() || t_ns > samples.back().t_ns) return false;
+  if (samples.size() == 1) return samples.back().t_ns - t_ns > kAheadNs;
+  const rt::TimeNs before_ns = samples[samples.size() - 2].t_ns;
+  return t_ns > before_ns && samples.back().t_ns - before_ns > kAheadNs;
+}
+
 rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char separator,
                             bool (*read_time)(std::string_view, rt::TimeNs*), const char* time_words) {
   ImuRecord record;
-  int same = 0;
-  const auto read = for_each_record(text, name, [&](std::string_view line, int /*number*/) -> std::string {
+  int same = 0, last_line = 0;
+  const auto read = for_each_record(text, name, [&](std::string_view line, int number) -> std::string {
     ImuSample sample;
     const std::string_view time = take_field(&line, separator);
     if (!read_time(time, &sample.t_ns)) return quoted(time) + " is not a time in " + time_words;
     std::string reason = read_readings(line, separator, &sample);
     if (!reason.empty()) return reason;
+    if (last_is_ahead(record.samples, sample.t_ns)) {
+      if (record.time_ahead++ == 0) record.ahead_line = last_line;
+      record.samples.pop_back();
+    }
     if (!record.samples.empty() && sample.t_ns <= record.samples.back().t_ns) {
-      ++record.time_repeated;
+      if (record.time_repeated++ == 0) record.repeated_line = number;
     } else {
       const ImuSample* const last = record.samples.empty() ? nullptr : &record.samples.back();
       const bool again =
@@ -65,6 +79,7 @@ rt::Result<ImuRecord> parse(std::string_view text, const std::string& name, char
       same = again ? same + 1 : 1;
       if (same >= ReadingCheck::kStuckSamples) ++record.stuck;
       record.samples.push_back(sample);
+      last_line = number;
     }
     return {};
   });
@@ -108,7 +123,14 @@ std::vector<std::string> ImuRecord::warnings(const std::string& name) const {
   if (time_repeated > 0) {
     out.push_back(name + ": " + std::to_string(time_repeated) + " of " +
                   std::to_string(samples.size() + time_repeated) +
-                  " inertial readings are no later than the one before: left out");
+                  " inertial readings are no later than the one before: left out; the first is line " +
+                  std::to_string(repeated_line));
+  }
+  if (time_ahead > 0) {
+    out.push_back(
+        name + ": " + std::to_string(time_ahead) +
+        " inertial readings are stamped more than a second ahead of those around: left out; the first is line " +
+        std::to_string(ahead_line));
   }
   if (stuck > 0)
     out.push_back(name + ": the inertial sensor is stuck in " + std::to_string(stuck) + " of " +

@@ -13,8 +13,10 @@
 namespace godwit::hal {
 
 struct ImuRecord {
-  std::vector<ImuSample> samples;   ///< times as recorded, each above the one before; never empty
-  std::uint64_t time_repeated = 0;  ///< left out: the same time as the one before, or an earlier one
+  std::vector<ImuSample> samples;         ///< times as recorded, each above the one before; never empty
+  std::uint64_t time_repeated = 0;        ///< left out: the same time as the one before, or an earlier one
+  std::uint64_t time_ahead = 0;           ///< left out: more than a second ahead of the one before and of the one after
+  int repeated_line = 0, ahead_line = 0;  ///< the first of them in the file, counted from 1; 0: there is none
   std::uint64_t stuck = 0;      ///< the same readings as in so many lines before that no sensor that works gives them
   std::uint64_t saturated = 0;  ///< flagged: an axis at the end of its range, where `errors` says that
   double rate_hz = 0;           ///< by the median of the steps; 0: a single sample
