@@ -222,7 +222,7 @@ void InertialSmoother::drop_oldest() {
   S::Error inverse;
   // Where it is not positive nothing of it goes on: the rest would be held to it as if it were known.
   if (!eliminate(&H_0, &inverse, &H_01, &H_1)) H_1.setZero();
-  prior_H_ = H_1.leftCols<S::kSize>().selfadjointView<Eigen::Upper>();  // to the bit
+  prior_H_ = H_1.leftCols<S::kSize>().selfadjointView<Eigen::Upper>();  // symmetric to the bit
   prior_b_ = H_1.col(kRhs);
   prior_at_ = state(1);
   first_ = (first_ + 1) % kNodes;

@@ -17,6 +17,8 @@ namespace fs = std::filesystem;
 /// No sensor that flies measures more: who stands beyond has other units, or other columns.
 constexpr double kMostRate = 100;
 constexpr double kMostForce = 1000;
+/// More than any pause of a sensor that goes on: a gap as long, and a time that goes back right after it, is one wrong
+/// stamp.
 constexpr rt::TimeNs kAheadNs = rt::kNsPerSecond;
 
 bool read_number(std::string_view text, double most, double* value) {
